@@ -1,0 +1,113 @@
+"""What the planner produces: a plan for every vehicle, and for the fleet; and what a flight of it recorded.
+
+Positions are in the mission's local frame: x east, y north, z altitude AMSL, all in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from missionplanner.geodesy import FloatArray, LocalFrame
+from missionplanner.mission import Mission
+from missionplanner.vehicle import Autopilot, Ending, MotionModel, VehicleClass
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Positions over time, linear between samples: ``t_s`` (S,) rising from mission start, ``position_m`` (S, 3)."""
+
+    t_s: FloatArray
+    position_m: FloatArray
+
+    def at(self, t_s: FloatArray | float) -> FloatArray:
+        """Return positions (..., 3) at times (...); before the start and after the end the vehicle stands still."""
+        t = np.asarray(t_s, dtype=float)
+        return np.stack([np.interp(t, self.t_s, self.position_m[:, k]) for k in range(3)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class Clearance:
+    """The least distance of a path to one kind of thing: how much, to what, and where."""
+
+    distance_m: float  # to the thing itself; for terrain: height above the ground below
+    required_m: float
+    what: str  # "terrain", an obstacle's or a vehicle's name, "fence"
+    position_m: tuple[float, float, float]  # on the path
+    t_s: float | None = None  # for fellows: when
+
+    @property
+    def ok(self) -> bool:
+        """Whether the distance is at least the required one (to a micrometre)."""
+        return self.distance_m >= self.required_m - 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VehiclePlan:
+    """One vehicle's way: from home straight up to ``waypoints_m[0]``, along straight legs to the last, then its end.
+
+    ``path_m`` (S, 3) is the smooth curve that the legs follow within the mission's waypoint tolerance. Arrival is the
+    time at which the last waypoint, the goal, is reached.
+    """
+
+    name: str
+    sysid: int
+    autopilot: Autopilot
+    vehicle_class: VehicleClass
+    motion: MotionModel
+    home_m: FloatArray  # (3,), on the ground
+    path_m: FloatArray  # (S, 3)
+    waypoints_m: FloatArray  # (W, 3); the first is the top of the take-off
+    end: Ending
+    length_m: float  # of path_m
+    speed_m_s: float  # commanded along the legs
+    start_delay_s: float
+    window_s: tuple[float, float]  # of the arrival, fastest and slowest, without delay (eq. 10)
+    arrival_s: float  # predicted, delay included
+    reached_s: FloatArray  # (W,) predicted times at the waypoints, delay included
+    trajectory: Trajectory  # predicted flight, from mission start to touch-down
+    cost: float
+    cost_terms: dict[str, float]  # unweighted price of path_m, term by term
+    history: FloatArray  # (G,) best cost per iteration
+    evaluations: int
+    clearances: tuple[Clearance, ...]  # least to terrain, and to the nearest obstacle or fence if there is any
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetPlan:
+    """The whole fleet's plan."""
+
+    mission: Mission
+    frame: LocalFrame
+    vehicles: tuple[VehiclePlan, ...]
+    arrival_s: float | None  # common arrival, None where the mission does not ask for it
+    separation: Clearance | None  # least between any two predicted trajectories; None for a single vehicle
+    seed: int
+    software_version: str
+    input_sha256: str  # of the mission and its terrain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FlownVehicle:
+    """What was recorded of one vehicle: positions over time since the fleet's common start."""
+
+    name: str
+    sysid: int
+    trajectory: Trajectory
+    arrival_s: float | None  # at the goal; None: never arrived
+    landed_s: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetFlight:
+    """A recorded flight of a fleet plan."""
+
+    vehicles: tuple[FlownVehicle, ...]
+
+    @property
+    def arrival_spread_s(self) -> float | None:
+        """Latest minus earliest arrival; None when somebody did not arrive."""
+        arrivals = [v.arrival_s for v in self.vehicles]
+        known = [a for a in arrivals if a is not None]
+        return max(known) - min(known) if len(known) == len(arrivals) else None

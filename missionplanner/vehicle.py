@@ -1,0 +1,115 @@
+"""A vehicle's limits and its navigator's parameters, with the autopilots' own defaults.
+
+Defaults: ArduCopter WPNAV_* and ArduPlane 4.5 (https://ardupilot.org/copter/docs/parameters.html), PX4 1.15 MPC_*
+(https://docs.px4.io/main/en/advanced_config/parameter_reference.html).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from missionplanner.mission import Motion, VehicleSettings
+
+Autopilot = Literal["ardupilot", "px4"]
+VehicleClass = Literal["copter", "plane"]
+Ending = Literal["land", "rtl", "loiter"]
+
+
+@dataclass(frozen=True, slots=True)
+class MotionModel:
+    """What the navigator of one vehicle does with a path; the planner's clock and the simulator share it."""
+
+    autopilot: Autopilot
+    vehicle_class: VehicleClass
+    acceleration_m_s2: float
+    jerk_m_s3: float
+    climb_rate_m_s: float
+    descent_rate_m_s: float
+    waypoint_radius_m: float
+    turn_radius_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleLimits:
+    """What the path of one vehicle must respect (PAPER.md eqs 2-8). Angles in radians, heights in metres."""
+
+    speed_min_m_s: float
+    speed_max_m_s: float
+    climb_angle_rad: float
+    descent_angle_rad: float
+    turn_radius_m: float
+    turn_angle_rad: float
+    terrain_margin_m: float
+    obstacle_margin_m: float
+    tracking_error_m: float
+    height_agl_max_m: float
+    alt_amsl_max_m: float
+    endurance_s: float
+
+
+_MOTION_DEFAULTS: dict[tuple[Autopilot, VehicleClass], tuple[float, float, float]] = {
+    # acceleration m/s^2, jerk m/s^3, waypoint radius m
+    ("ardupilot", "copter"): (2.5, 1.0, 2.0),
+    ("px4", "copter"): (3.0, 4.0, 10.0),
+    ("ardupilot", "plane"): (1.5, 1.0, 50.0),
+    ("px4", "plane"): (1.5, 1.0, 50.0),
+}
+_SPEED_DEFAULTS: dict[VehicleClass, tuple[float, float]] = {"copter": (3.0, 10.0), "plane": (14.0, 22.0)}
+_CLIMB_RATE_M_S: dict[tuple[Autopilot, VehicleClass], float] = {
+    ("ardupilot", "copter"): 2.5,
+    ("px4", "copter"): 3.0,
+    ("ardupilot", "plane"): 5.0,
+    ("px4", "plane"): 5.0,
+}
+_DESCENT_RATE_M_S: dict[VehicleClass, float] = {"copter": 1.5, "plane": 5.0}
+_PATH_ANGLE_DEG: dict[VehicleClass, float] = {"copter": 60.0, "plane": 12.0}
+_TURN_RADIUS_M: dict[VehicleClass, float] = {"copter": 0.0, "plane": 60.0}
+
+
+def motion_model(settings: VehicleSettings) -> MotionModel:
+    """Return the navigator's parameters: the mission file's, else the autopilot's defaults."""
+    key = (settings.autopilot, settings.vehicle_class)
+    acceleration, jerk, radius = _MOTION_DEFAULTS[key]
+    motion: Motion = settings.motion
+    return MotionModel(
+        autopilot=settings.autopilot,
+        vehicle_class=settings.vehicle_class,
+        acceleration_m_s2=_or(motion.acceleration_m_s2, acceleration),
+        jerk_m_s3=_or(motion.jerk_m_s3, jerk),
+        climb_rate_m_s=_or(settings.climb.rate_m_s, _CLIMB_RATE_M_S[key]),
+        descent_rate_m_s=_or(settings.descent.rate_m_s, _DESCENT_RATE_M_S[settings.vehicle_class]),
+        waypoint_radius_m=_or(motion.waypoint_radius_m, radius),
+        turn_radius_m=_or(settings.turn_radius_m, _TURN_RADIUS_M[settings.vehicle_class]),
+    )
+
+
+def ending(settings: VehicleSettings) -> Ending:
+    """Return what the vehicle does at its goal."""
+    return settings.end or ("land" if settings.vehicle_class == "copter" else "loiter")
+
+
+def vehicle_limits(settings: VehicleSettings, vertical_error_m: float) -> VehicleLimits:
+    """Return the limits of a path; ``vertical_error_m`` is the terrain model's and widens the terrain margin."""
+    speed = settings.speed_m_s
+    low, high = (speed.min, speed.max) if speed else _SPEED_DEFAULTS[settings.vehicle_class]
+    angle_deg = _PATH_ANGLE_DEG[settings.vehicle_class]
+    return VehicleLimits(
+        speed_min_m_s=low,
+        speed_max_m_s=high,
+        climb_angle_rad=math.radians(_or(settings.climb.angle_max_deg, angle_deg)),
+        descent_angle_rad=math.radians(_or(settings.descent.angle_max_deg, angle_deg)),
+        turn_radius_m=_or(settings.turn_radius_m, _TURN_RADIUS_M[settings.vehicle_class]),
+        turn_angle_rad=math.radians(settings.turn_angle_max_deg),
+        terrain_margin_m=settings.safety.terrain_m + vertical_error_m,
+        obstacle_margin_m=settings.safety.obstacle_m,
+        tracking_error_m=settings.tracking_error_m,
+        height_agl_max_m=_or(settings.height_agl_max_m, math.inf),
+        alt_amsl_max_m=_or(settings.alt_amsl_max_m, math.inf),
+        endurance_s=_or(settings.endurance_s, math.inf),
+    )
+
+
+def _or(value: float | None, default: float) -> float:
+    return default if value is None else value
