@@ -5,6 +5,7 @@ distances (negative inside), so each changes by at most one metre per metre flow
 distances *between* samples rests on that.
 """
 
+# ruff: noqa: PLR0917  (kernels take raw arrays: many arguments are their nature)
 from __future__ import annotations
 
 import math
@@ -104,12 +105,13 @@ def _surface(h: npt.NDArray[np.float32], row: float, col: float) -> float:
     j = int(col)
     w0, w1, w2, w3 = _keys(col - j)
     r0, r1, r2, r3 = _keys(row - i)
-    return (
+    height: float = (
         r0 * (w0 * h[i - 1, j - 1] + w1 * h[i - 1, j] + w2 * h[i - 1, j + 1] + w3 * h[i - 1, j + 2])
         + r1 * (w0 * h[i, j - 1] + w1 * h[i, j] + w2 * h[i, j + 1] + w3 * h[i, j + 2])
         + r2 * (w0 * h[i + 1, j - 1] + w1 * h[i + 1, j] + w2 * h[i + 1, j + 1] + w3 * h[i + 1, j + 2])
         + r3 * (w0 * h[i + 2, j - 1] + w1 * h[i + 2, j] + w2 * h[i + 2, j + 1] + w3 * h[i + 2, j + 2])
     )
+    return height
 
 
 @njit(cache=True)
@@ -189,8 +191,8 @@ def obstacle_distance(o: ObstacleArrays, i: int, x: float, y: float, z: float) -
     if kind == PRISM:
         across = polygon_distance(o.vertices, o.vertex_start[i], o.vertex_start[i + 1], x, y)
         return _extruded(across, max(p[i, 0] - z, z - p[i, 1]))
-    dx = x - p[i, 0]
-    dy = y - p[i, 1]
+    dx: float = x - p[i, 0]
+    dy: float = y - p[i, 1]
     if kind == CABLE:
         dz = z - p[i, 2]
         ex = p[i, 3] - p[i, 0]
@@ -202,14 +204,16 @@ def obstacle_distance(o: ObstacleArrays, i: int, x: float, y: float, z: float) -
         dx -= s * ex
         dy -= s * ey
         dz -= s * ez
-        return math.sqrt(dx * dx + dy * dy + dz * dz) - p[i, 6]
+        cable_radius: float = p[i, 6]
+        return math.sqrt(dx * dx + dy * dy + dz * dz) - cable_radius
     rho2 = dx * dx + dy * dy
     if kind == CYLINDER:
         return _extruded(math.sqrt(rho2) - p[i, 2], z - p[i, 3])
     if kind == CONE:
         return _cone(math.sqrt(rho2), z - p[i, 3], p[i, 2], p[i, 4])
     dz = z - p[i, 2]
-    return math.sqrt(rho2 + dz * dz) - p[i, 3]
+    sphere_radius: float = p[i, 3]
+    return math.sqrt(rho2 + dz * dz) - sphere_radius
 
 
 @njit(cache=True)
@@ -224,9 +228,9 @@ def obstacle_distances(o: ObstacleArrays, points: FloatArray) -> FloatArray:
 
 @njit(cache=True)
 def inside_distance(space: SpaceArrays, x: float, y: float, z: float) -> float:
-    """Return the distance by which a point is inside area and fence (polygon and top); negative outside; 1-Lipschitz."""
+    """Return how far a point is inside area and fence (polygon and top), negative outside; 1-Lipschitz."""
     area = space.area
-    d = min(min(x - area[0], area[2] - x), min(y - area[1], area[3] - y))
+    d: float = min(x - area[0], area[2] - x, y - area[1], area[3] - y)
     if space.fence.shape[0] > 0:
         d = min(d, -polygon_distance(space.fence, 0, space.fence.shape[0], x, y))
         d = min(d, space.fence_top_amsl_m - z)
@@ -361,7 +365,7 @@ def _leg_inside(space: SpaceArrays, leg: FloatArray, enough: float, refuse: floa
     d1 = inside_distance(space, leg[1, 0], leg[1, 1], leg[1, 2])
     at = 0.0 if d0 <= d1 else 1.0
     if space.fence.shape[0] == 0:  # to a rectangle the distance inside is concave: least at an end
-        return min(enough, min(d0, d1)), at
+        return min(enough, d0, d1), at
     ex = leg[1, 0] - leg[0, 0]
     ey = leg[1, 1] - leg[0, 1]
     ez = leg[1, 2] - leg[0, 2]
@@ -380,7 +384,7 @@ def _leg_inside(space: SpaceArrays, leg: FloatArray, enough: float, refuse: floa
             least = ahead
             at = f
         d = ahead
-    return min(enough, min(lower, least)), at
+    return min(enough, lower, least), at
 
 
 @njit(cache=True)
@@ -389,7 +393,7 @@ def leg_clearance(space: SpaceArrays, leg: FloatArray, step_m: float, out: Float
     ex = leg[1, 0] - leg[0, 0]
     ey = leg[1, 1] - leg[0, 1]
     ez = leg[1, 2] - leg[0, 2]
-    pieces = max(1, int(math.ceil(math.sqrt(ex * ex + ey * ey) / step_m)))
+    pieces = max(1, math.ceil(math.sqrt(ex * ex + ey * ey) / step_m))
     out[HEIGHT_MIN] = np.inf
     out[HEIGHT_MIN_AT] = 0.0
     out[HEIGHT_MAX] = -np.inf
@@ -436,7 +440,7 @@ def leg_is_clear(
     obstacle_min_m: float,
     fence_min_m: float,
 ) -> bool:
-    """Return whether a leg (2, 3) keeps these heights and distances: :func:`legs_clearance`, but stops at the first no."""
+    """Return whether a leg (2, 3) keeps these heights and distances; stops at the first that it does not."""
     if max(leg[0, 2], leg[1, 2]) > alt_max_m:
         return False
     if _leg_inside(space, leg, fence_min_m, fence_min_m)[0] < fence_min_m:
@@ -446,7 +450,7 @@ def leg_is_clear(
     ex = leg[1, 0] - leg[0, 0]
     ey = leg[1, 1] - leg[0, 1]
     ez = leg[1, 2] - leg[0, 2]
-    pieces = max(1, int(math.ceil(math.sqrt(ex * ex + ey * ey) / step_m)))
+    pieces = max(1, math.ceil(math.sqrt(ex * ex + ey * ey) / step_m))
     for k in range(pieces + 1):
         s = k / pieces
         height = leg[0, 2] + s * ez - terrain_height(space.terrain, leg[0, 0] + s * ex, leg[0, 1] + s * ey)

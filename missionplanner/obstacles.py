@@ -1,0 +1,198 @@
+"""Solids in the local frame, packed for the kernels.
+
+Distances are signed (negative inside), exact, and so 1-Lipschitz: moving one metre changes them by at most one metre.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from missionplanner import kernels
+from missionplanner.errors import MissionError
+from missionplanner.geodesy import FloatArray
+from missionplanner.kernels import ObstacleArrays
+
+
+@dataclass(frozen=True, slots=True)
+class CylinderSolid:
+    """A vertical cylinder from far below the ground up to its top."""
+
+    name: str
+    x: float
+    y: float
+    radius_m: float
+    top_amsl_m: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class ConeSolid:
+    """A cone-shaped peak (PAPER.md eq. 16); below its base plane is free."""
+
+    name: str
+    x: float
+    y: float
+    base_radius_m: float
+    base_amsl_m: float
+    height_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class SphereSolid:
+    """A radar zone (PAPER.md eq. 17) or a marine hazard (eq. 19); one that is not hard is priced, not forbidden."""
+
+    name: str
+    x: float
+    y: float
+    z: float
+    radius_m: float
+    kind: Literal["radar", "marine"]
+    hard: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PrismSolid:
+    """An upright prism over a simple polygon (K, 2), of either orientation."""
+
+    name: str
+    xy: FloatArray
+    floor_amsl_m: float = -math.inf
+    top_amsl_m: float = math.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CableSolid:
+    """A straight cable: all within ``radius_m`` of the segment from ``start`` (3,) to ``end`` (3,)."""
+
+    name: str
+    start: FloatArray
+    end: FloatArray
+    radius_m: float
+
+
+Solid = CylinderSolid | ConeSolid | SphereSolid | PrismSolid | CableSolid
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Obstacles:
+    """All solids of a mission, in order."""
+
+    names: tuple[str, ...]
+    arrays: ObstacleArrays
+
+    def distance_m(self, position_m: npt.ArrayLike) -> FloatArray:
+        """Return signed distances (..., O) of positions (..., 3) to every solid, hard or not; negative inside."""
+        position = np.asarray(position_m, dtype=np.float64)
+        flat = np.ascontiguousarray(position.reshape(-1, 3))
+        distance: FloatArray = kernels.obstacle_distances(self.arrays, flat)
+        return distance.reshape(*position.shape[:-1], len(self.names))
+
+
+def pack(solids: Sequence[Solid]) -> Obstacles:
+    """Return solids packed for the kernels.
+
+    Raises
+    ------
+    MissionError
+        A size that is not positive, a number that is NaN, or a polygon that crosses itself or has no area.
+    """
+    count = len(solids)
+    kind = np.zeros(count, dtype=np.int64)
+    params = np.zeros((count, 8))
+    bound = np.zeros((count, 3))
+    hard = np.ones(count, dtype=np.bool_)
+    vertices: list[FloatArray] = [np.zeros((0, 2))]
+    vertex_start = np.zeros(count + 1, dtype=np.int64)
+    for i, solid in enumerate(solids):
+        outline = np.zeros((0, 2))
+        match solid:
+            case CylinderSolid(name, x, y, radius_m, top_amsl_m):
+                _check(name, "radius_m", radius_m)
+                kind[i], row, circle = kernels.CYLINDER, (x, y, radius_m, top_amsl_m), (x, y, radius_m)
+            case ConeSolid(name, x, y, base_radius_m, base_amsl_m, height_m):
+                _check(name, "base_radius_m", base_radius_m)
+                _check(name, "height_m", height_m)
+                row = (x, y, base_radius_m, base_amsl_m, height_m)
+                kind[i], circle = kernels.CONE, (x, y, base_radius_m)
+            case SphereSolid(name, x, y, z, radius_m, sphere, is_hard):
+                _check(name, "radius_m", radius_m)
+                kind[i] = kernels.RADAR if sphere == "radar" else kernels.MARINE
+                row, circle, hard[i] = (x, y, z, radius_m), (x, y, radius_m), is_hard
+            case PrismSolid(name, xy, floor_amsl_m, top_amsl_m):
+                outline = np.asarray(xy, dtype=np.float64)
+                _check(name, "height", top_amsl_m - floor_amsl_m)
+                check_polygon(outline, name)
+                row = (floor_amsl_m, top_amsl_m, float(_is_convex(outline)))
+                middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+                reach = float(np.linalg.norm(outline - middle, axis=1).max())
+                kind[i], circle = kernels.PRISM, (*middle, reach)
+            case CableSolid(name, start, end, radius_m):
+                _check(name, "radius_m", radius_m)
+                half = 0.5 * math.hypot(end[0] - start[0], end[1] - start[1])
+                row = (*start, *end, radius_m)
+                kind[i], circle = (
+                    kernels.CABLE,
+                    (0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1]), half + radius_m),
+                )
+        if not all(map(math.isfinite, circle)) or any(map(math.isnan, row)):
+            raise MissionError(f"obstacle {solid.name}: expected numbers for its place and size, got {solid}")
+        params[i, : len(row)] = row
+        bound[i] = circle
+        vertices.append(outline)
+        vertex_start[i + 1] = vertex_start[i] + len(outline)
+    arrays = ObstacleArrays(kind, params, bound, hard, np.ascontiguousarray(np.concatenate(vertices)), vertex_start)
+    return Obstacles(tuple(solid.name for solid in solids), arrays)
+
+
+def check_polygon(xy: FloatArray, name: str) -> None:
+    """Check that a polygon (K, 2) is simple and has an area.
+
+    Raises
+    ------
+    MissionError
+        Fewer than three corners, NaN or infinity, two edges that cross or touch, or no area.
+    """
+    if xy.ndim != 2 or xy.shape[1] != 2 or len(xy) < 3 or not np.isfinite(xy).all():
+        raise MissionError(f"{name}: expected a polygon of at least 3 finite corners, got {xy.tolist()}")
+    after = np.roll(xy, -1, axis=0)
+    for i in range(len(xy)):
+        for j in range(i + 1, len(xy)):
+            neighbours = j == i + 1 or (i == 0 and j == len(xy) - 1)
+            if not neighbours and _touch(xy[i], after[i], xy[j], after[j]):
+                raise MissionError(
+                    f"{name}: expected a polygon whose edges do not cross, "
+                    f"got edges {i + 1} and {j + 1} crossing: list the corners in order around it"
+                )
+    if abs(float(np.sum(xy[:, 0] * after[:, 1] - xy[:, 1] * after[:, 0]))) < 1e-6:
+        raise MissionError(f"{name}: expected a polygon with an area, got corners on one line")
+
+
+def _check(name: str, field: str, value: float) -> None:
+    if not value > 0.0:
+        raise MissionError(f"obstacle {name}: expected {field} > 0, got {value}")
+
+
+def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def _touch(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
+    """Whether the segments a-b and c-d share a point."""
+    turns = (_turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b))
+    if turns[0] * turns[1] < 0.0 and turns[2] * turns[3] < 0.0:
+        return True
+    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
+    return any(
+        turn == 0.0 and bool(np.all(np.minimum(p, q) <= r) and np.all(r <= np.maximum(p, q)))
+        for turn, (p, q, r) in zip(turns, ends, strict=True)
+    )
+
+
+def _is_convex(xy: FloatArray) -> bool:
+    turns = [_turn(xy[k - 2], xy[k - 1], xy[k]) for k in range(len(xy))]
+    return all(t >= 0.0 for t in turns) or all(t <= 0.0 for t in turns)
