@@ -1,10 +1,44 @@
-"""A fleet plan as MAVLink mission items; the only place that scales degrees to 1e-7."""
+"""A fleet plan as MAVLink mission items and back; the only place that scales degrees to 1e-7.
+
+The two autopilots want different missions (https://mavlink.io/en/services/mission.html):
+
+- ArduPilot keeps home in seq 0 and overwrites whatever was sent there, so a take-off must be seq 1. Its take-off height
+  is above home. It refuses NaN in most parameters.
+- PX4 has no home item; the take-off is seq 0, at its altitude AMSL. NaN means "leave it to the vehicle" and is needed
+  in p4, where 0 would turn the nose north.
+
+Waypoints are AMSL on both. The speed comes right after the take-off: ArduCopter lost it during the take-off until
+December 2023, and PX4 wants it in MAV_FRAME_MISSION.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from missionplanner.errors import MissionError
+from missionplanner.geodesy import FloatArray, LocalFrame
+from missionplanner.plan import FleetPlan, VehiclePlan
+from missionplanner.vehicle import Autopilot
 
 DEGREE_SCALE = 10_000_000
+
+FRAME_GLOBAL = 0  # altitude AMSL
+FRAME_MISSION = 2  # no position
+FRAME_RELATIVE = 3  # altitude above home
+
+WAYPOINT = 16
+LOITER_UNLIMITED = 17
+RETURN_TO_LAUNCH = 20
+LAND = 21
+TAKEOFF = 22
+CHANGE_SPEED = 178
+
+_AIRSPEED, _GROUND_SPEED = 0.0, 1.0
+_THROTTLE_UNCHANGED = -1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,3 +66,91 @@ class MissionItem:
 def degrees_to_wire(degrees: float) -> int:
     """Return degrees in units of 1e-7, rounded to the nearest (truncation is off by one for 6 % of values)."""
     return round(degrees * DEGREE_SCALE)
+
+
+def wire_to_degrees(wire: int) -> float:
+    """Return units of 1e-7 degrees as degrees."""
+    return wire / DEGREE_SCALE
+
+
+def plan_items(vehicle: VehiclePlan, frame: LocalFrame) -> tuple[MissionItem, ...]:
+    """Return one vehicle's mission: (home,) take-off, speed, waypoints, ending; ``current`` marks the first item.
+
+    The first waypoint is the take-off item itself; the goal is a waypoint of its own before the ending, so that its
+    arrival is reported.
+    """
+    ardupilot = vehicle.autopilot == "ardupilot"
+    top_m, goal_m = vehicle.waypoints_m[0], vehicle.waypoints_m[-1]
+    unset = 0.0 if ardupilot else math.nan
+    accept_m = 0.0 if ardupilot else vehicle.motion.waypoint_radius_m  # ArduCopter drops it
+    # a plane flies by airspeed; ArduPlane would take a "ground speed" for its least one
+    speed_type = _AIRSPEED if vehicle.vehicle_class == "plane" else _GROUND_SPEED
+
+    def at(command: int, position_m: FloatArray, param2: float = 0.0, param4: float = unset) -> MissionItem:
+        point = frame.geo_point(position_m)
+        x, y = degrees_to_wire(point.lat_deg), degrees_to_wire(point.lon_deg)
+        return MissionItem(0, FRAME_GLOBAL, command, param2=param2, param4=param4, x=x, y=y, z=point.alt_amsl_m)
+
+    takeoff = at(TAKEOFF, top_m)
+    if ardupilot:
+        takeoff = replace(takeoff, frame=FRAME_RELATIVE, z=float(top_m[2] - vehicle.home_m[2]))
+    match vehicle.end:
+        case "land":
+            ending = at(LAND, np.array([goal_m[0], goal_m[1], vehicle.trajectory.position_m[-1, 2]]))
+        case "rtl":
+            ending = MissionItem(0, FRAME_MISSION, RETURN_TO_LAUNCH)
+        case "loiter":
+            ending = at(LOITER_UNLIMITED, goal_m)
+    items = [
+        *([at(WAYPOINT, vehicle.home_m)] if ardupilot else []),
+        takeoff,
+        MissionItem(0, FRAME_MISSION, CHANGE_SPEED, speed_type, vehicle.speed_m_s, _THROTTLE_UNCHANGED),
+        *(at(WAYPOINT, waypoint_m, accept_m) for waypoint_m in vehicle.waypoints_m[1:]),
+        ending,
+    ]
+    return tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(items))
+
+
+def fleet_items(plan: FleetPlan) -> dict[int, tuple[MissionItem, ...]]:
+    """Return every vehicle's mission by sysid."""
+    return {vehicle.sysid: plan_items(vehicle, plan.frame) for vehicle in plan.vehicles}
+
+
+def goal_seq(items: Sequence[MissionItem]) -> int:
+    """Return the seq of the goal: the last waypoint of the mission.
+
+    Raises
+    ------
+    MissionError
+        There is no waypoint.
+    """
+    for item in reversed(items):
+        if item.command in (WAYPOINT, TAKEOFF):
+            return item.seq
+    raise MissionError("mission: expected at least one waypoint, got none")
+
+
+def item_waypoints(items: Sequence[MissionItem], autopilot: Autopilot, frame: LocalFrame) -> FloatArray:
+    """Return the waypoints (W, 3) of a mission that :func:`plan_items` wrote, the take-off's top first.
+
+    Raises
+    ------
+    MissionError
+        A positioned item in a frame other than AMSL or above home, or heights above home without a home item.
+    """
+    home = items[0] if autopilot == "ardupilot" and items else None
+    points: list[FloatArray] = []
+    for item in items if home is None else items[1:]:
+        if item.command not in (WAYPOINT, TAKEOFF):
+            continue
+        if item.frame == FRAME_GLOBAL:
+            alt_amsl_m = item.z
+        elif item.frame == FRAME_RELATIVE and home is not None:
+            alt_amsl_m = home.z + item.z
+        else:
+            raise MissionError(
+                f"mission item {item.seq}: expected an altitude AMSL (frame 0) or above a home item (frame 3), "
+                f"got frame {item.frame}"
+            )
+        points.append(frame.to_local(wire_to_degrees(item.x), wire_to_degrees(item.y), alt_amsl_m))
+    return np.stack(points) if points else np.empty((0, 3))
