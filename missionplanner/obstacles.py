@@ -109,44 +109,45 @@ def pack(solids: Sequence[Solid]) -> Obstacles:
     vertices: list[FloatArray] = [np.zeros((0, 2))]
     vertex_start = np.zeros(count + 1, dtype=np.int64)
     for i, solid in enumerate(solids):
-        outline = np.zeros((0, 2))
-        match solid:
-            case CylinderSolid(name, x, y, radius_m, top_amsl_m):
-                _check(name, "radius_m", radius_m)
-                kind[i], row, circle = kernels.CYLINDER, (x, y, radius_m, top_amsl_m), (x, y, radius_m)
-            case ConeSolid(name, x, y, base_radius_m, base_amsl_m, height_m):
-                _check(name, "base_radius_m", base_radius_m)
-                _check(name, "height_m", height_m)
-                row = (x, y, base_radius_m, base_amsl_m, height_m)
-                kind[i], circle = kernels.CONE, (x, y, base_radius_m)
-            case SphereSolid(name, x, y, z, radius_m, sphere, is_hard):
-                _check(name, "radius_m", radius_m)
-                kind[i] = kernels.RADAR if sphere == "radar" else kernels.MARINE
-                row, circle, hard[i] = (x, y, z, radius_m), (x, y, radius_m), is_hard
-            case PrismSolid(name, xy, floor_amsl_m, top_amsl_m):
-                outline = np.asarray(xy, dtype=np.float64)
-                _check(name, "height", top_amsl_m - floor_amsl_m)
-                check_polygon(outline, name)
-                row = (floor_amsl_m, top_amsl_m, float(_is_convex(outline)))
-                middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
-                reach = float(np.linalg.norm(outline - middle, axis=1).max())
-                kind[i], circle = kernels.PRISM, (*middle, reach)
-            case CableSolid(name, start, end, radius_m):
-                _check(name, "radius_m", radius_m)
-                half = 0.5 * math.hypot(end[0] - start[0], end[1] - start[1])
-                row = (*start, *end, radius_m)
-                kind[i], circle = (
-                    kernels.CABLE,
-                    (0.5 * (start[0] + end[0]), 0.5 * (start[1] + end[1]), half + radius_m),
-                )
-        if not all(map(math.isfinite, circle)) or any(map(math.isnan, row)):
+        kind[i], row, bound[i] = _row(solid)
+        if not np.isfinite(bound[i]).all() or np.isnan(row).any():
             raise MissionError(f"obstacle {solid.name}: expected numbers for its place and size, got {solid}")
         params[i, : len(row)] = row
-        bound[i] = circle
+        if isinstance(solid, SphereSolid):
+            hard[i] = solid.hard
+        outline = np.asarray(solid.xy, dtype=np.float64) if isinstance(solid, PrismSolid) else np.zeros((0, 2))
         vertices.append(outline)
         vertex_start[i + 1] = vertex_start[i] + len(outline)
     arrays = ObstacleArrays(kind, params, bound, hard, np.ascontiguousarray(np.concatenate(vertices)), vertex_start)
     return Obstacles(tuple(solid.name for solid in solids), arrays)
+
+
+def _row(solid: Solid) -> tuple[int, tuple[float, ...], tuple[float, float, float]]:
+    """Return the kind of a solid, its row of parameters, and the circle around it."""
+    match solid:
+        case CylinderSolid(name, x, y, radius_m, top_amsl_m):
+            _check(name, "radius_m", radius_m)
+            return kernels.CYLINDER, (x, y, radius_m, top_amsl_m), (x, y, radius_m)
+        case ConeSolid(name, x, y, base_radius_m, base_amsl_m, height_m):
+            _check(name, "base_radius_m", base_radius_m)
+            _check(name, "height_m", height_m)
+            return kernels.CONE, (x, y, base_radius_m, base_amsl_m, height_m), (x, y, base_radius_m)
+        case SphereSolid(name, x, y, z, radius_m, kind):
+            _check(name, "radius_m", radius_m)
+            return kernels.RADAR if kind == "radar" else kernels.MARINE, (x, y, z, radius_m), (x, y, radius_m)
+        case PrismSolid(name, xy, floor_amsl_m, top_amsl_m):
+            outline = np.asarray(xy, dtype=np.float64)
+            check_polygon(outline, f"obstacle {name}")
+            _check(name, "top above its floor", top_amsl_m - floor_amsl_m)
+            middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
+            reach = float(np.linalg.norm(outline - middle, axis=1).max())
+            row = (floor_amsl_m, top_amsl_m, float(_is_convex(outline)))
+            return kernels.PRISM, row, (float(middle[0]), float(middle[1]), reach)
+        case CableSolid(name, start, end, radius_m):
+            _check(name, "radius_m", radius_m)
+            x, y = (0.5 * (start[k] + end[k]) for k in (0, 1))
+            half = 0.5 * math.hypot(end[0] - start[0], end[1] - start[1])
+            return kernels.CABLE, (*start, *end, radius_m), (float(x), float(y), half + radius_m)
 
 
 def check_polygon(xy: FloatArray, name: str) -> None:

@@ -40,7 +40,7 @@ def basis(knots: FloatArray, samples: FloatArray) -> FloatArray:
     (50, 96, 3)
     """
     matrix: FloatArray = CubicSpline(knots, np.eye(len(knots)), bc_type="natural")(samples)
-    return np.ascontiguousarray(matrix)
+    return matrix
 
 
 def leg_lengths_m(paths: FloatArray) -> FloatArray:
@@ -72,9 +72,9 @@ def turn_angle_rad(paths: FloatArray) -> FloatArray:
 
 
 def turn_radius_m(paths: FloatArray) -> FloatArray:
-    """Return the horizontal radius of curvature (..., S - 2) at every inner sample of paths (..., S, 3) (PAPER.md eq. 5).
+    """Return the horizontal radius of curvature (..., S - 2) at every inner sample of paths (..., S, 3).
 
-    It is that of the circle through the sample and its two neighbours; inf where they stand in line.
+    PAPER.md eq. 5. It is that of the circle through the sample and its two neighbours; inf where they stand in line.
     """
     a, b, c = paths[..., :-2, :2], paths[..., 1:-1, :2], paths[..., 2:, :2]
     u, v = b - a, c - b
