@@ -23,7 +23,7 @@ def chord_knots(control_m: FloatArray) -> FloatArray:
     knots = np.concatenate([[0.0], np.cumsum(chord)])
     if not (np.diff(knots) > 0.0).all():
         raise ValueError("expected consecutive control points to differ")
-    return knots / knots[-1]
+    return np.asarray(knots / knots[-1])
 
 
 def basis(knots: FloatArray, samples: FloatArray) -> FloatArray:
