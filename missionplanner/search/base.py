@@ -1,0 +1,55 @@
+"""What every optimiser is: points asked for, costs told. Arrays in, arrays out; nothing here knows of UAVs.
+
+Optimisers live in the unit box [0, 1]^D and see finite costs or ``inf``; :mod:`.run` scales to the user's box, counts
+evaluations and remembers the best, so an optimiser holds its idea and nothing else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+Cost = Callable[[FloatArray], npt.ArrayLike]  # (P, D) -> (P,)
+Callback = Callable[[int, float], bool | None]  # (evaluations so far, best cost) -> true to stop
+
+
+class Optimiser(Protocol):
+    """One population moving through the unit box; every ``ask`` is answered by one ``tell``."""
+
+    def ask(self) -> FloatArray:
+        """Return the points (P, D) to price next, each inside the unit box."""
+
+    def tell(self, cost: FloatArray) -> None:
+        """Take the costs (P,) of the points last asked for; ``inf`` marks a point without a price."""
+
+
+class OptimiserClass(Protocol):
+    """How an optimiser is made: from its first population (P, D) and the number of generations it will live."""
+
+    def __call__(self, initial: FloatArray, generations: int, rng: np.random.Generator) -> Optimiser:
+        """Return an optimiser whose first ``ask`` returns ``initial``."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SearchResult:
+    """What a search found.
+
+    Attributes
+    ----------
+    best : (D,) the cheapest point priced, exactly as it was priced.
+    cost : its cost.
+    history : (G,) the best cost so far after every generation; never rises.
+    evaluations : rows priced in all.
+    seed : repeats the search.
+    """
+
+    best: FloatArray
+    cost: float
+    history: FloatArray
+    evaluations: int
+    seed: int
