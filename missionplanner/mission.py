@@ -7,16 +7,27 @@ height is given either above mean sea level (``alt_amsl_m``) or above the ground
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Sequence
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
+from pydantic_core import ErrorDetails, PydanticCustomError
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Latitude = Annotated[float, Field(ge=-84, le=84)]
-Longitude = Annotated[float, Field(ge=-180, le=180)]
-Angle = Annotated[float, Field(gt=0, lt=90)]
+from missionplanner.document import Document, Location, parse_document
+from missionplanner.errors import MissionError
+
+# Strict: a truth value or a text is not a number
+Number = Annotated[float, Strict()]
+Positive = Annotated[float, Strict(), Field(gt=0)]
+NonNegative = Annotated[float, Strict(), Field(ge=0)]
+Latitude = Annotated[float, Strict(), Field(ge=-84, le=84)]
+Longitude = Annotated[float, Strict(), Field(ge=-180, le=180)]
+Angle = Annotated[float, Strict(), Field(gt=0, lt=90)]
+Share = Annotated[float, Strict(), Field(ge=0, le=1)]
+Flag = Annotated[bool, Strict()]
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[\w.-]+$")]
 
 
@@ -38,8 +49,8 @@ class Place(Model):
 
     lat_deg: Latitude | None = None
     lon_deg: Longitude | None = None
-    x_m: float | None = None
-    y_m: float | None = None
+    x_m: Number | None = None
+    y_m: Number | None = None
 
     @model_validator(mode="after")
     def _one_way_to_say_where(self) -> Place:
@@ -53,8 +64,8 @@ class Place(Model):
 class Point(Place):
     """A place with a height: exactly one of ``alt_amsl_m`` and ``height_agl_m``."""
 
-    alt_amsl_m: float | None = None
-    height_agl_m: float | None = None
+    alt_amsl_m: Number | None = None
+    height_agl_m: Number | None = None
 
     @model_validator(mode="after")
     def _one_datum(self) -> Point:
@@ -71,7 +82,7 @@ class RasterTerrain(Model):
     kind: Literal["raster"]
     file: Path = Field(description="GeoTIFF or HGT; relative to the mission file")
     vertical_error_m: NonNegative = Field(0.0, description="added to the terrain margin of every vehicle")
-    geoid_undulation_m: float | None = Field(
+    geoid_undulation_m: Number | None = Field(
         None, description="only for heights above the ellipsoid: subtracted to get altitudes AMSL"
     )
 
@@ -87,7 +98,7 @@ class PeaksTerrain(Model):
     """Gaussian peaks summed over a base plane, gridded, then interpolated like any elevation model."""
 
     kind: Literal["peaks"]
-    base_alt_amsl_m: float = 0.0
+    base_alt_amsl_m: Number = 0.0
     peaks: tuple[Peak, ...] = Field(min_length=1)
     cell_m: Positive = 10.0
 
@@ -96,7 +107,7 @@ class FlatTerrain(Model):
     """Level ground (or sea)."""
 
     kind: Literal["flat"]
-    alt_amsl_m: float
+    alt_amsl_m: Number
 
 
 Terrain = Annotated[RasterTerrain | PeaksTerrain | FlatTerrain, Field(discriminator="kind")]
@@ -112,7 +123,7 @@ class Area(Model):
 class _Top(Model):
     """How high an obstacle reaches: AMSL, above ground, or (neither) without limit."""
 
-    top_alt_amsl_m: float | None = None
+    top_alt_amsl_m: Number | None = None
     top_height_agl_m: Positive | None = None
 
     @model_validator(mode="after")
@@ -139,7 +150,7 @@ class Cone(Model):
     center: Place
     base_radius_m: Positive
     height_m: Positive
-    base_alt_amsl_m: float | None = None
+    base_alt_amsl_m: Number | None = None
 
 
 class Radar(Model):
@@ -149,7 +160,7 @@ class Radar(Model):
     name: Name
     center: Point
     radius_m: Positive
-    hard: bool = True
+    hard: Flag = True
 
 
 class Marine(Model):
@@ -167,7 +178,7 @@ class NoFly(_Top):
     kind: Literal["no_fly"]
     name: Name
     polygon: tuple[Place, ...] = Field(min_length=3)
-    floor_alt_amsl_m: float | None = None
+    floor_alt_amsl_m: Number | None = None
 
 
 class Cable(Model):
@@ -203,7 +214,7 @@ class Inspection(Model):
     towers: tuple[Tower, ...] = Field(min_length=1)
     standoff_m: Positive = Field(25.0, description="height above a tower's top at which it is overflown")
     range_m: Positive = Field(60.0, description="a tower counts as inspected when a path passes its top this close")
-    share_min: Annotated[float, Field(ge=0, le=1)] = Field(1.0, description="least share of towers (eq. 6)")
+    share_min: Share = Field(1.0, description="least share of towers (eq. 6)")
     tower_radius_m: Positive = 6.0
     conductor_radius_m: Positive = Field(8.0, description="half the width of the bundle of conductors of a span")
 
@@ -259,9 +270,9 @@ class VehicleSettings(Model):
     climb: VerticalLimit = VerticalLimit()
     descent: VerticalLimit = VerticalLimit()
     turn_radius_m: NonNegative | None = Field(None, description="PAPER.md eq. 5; default: copter 0, plane 60")
-    turn_angle_max_deg: Annotated[float, Field(gt=0, le=180)] = Field(180.0, description="PAPER.md eq. 8")
+    turn_angle_max_deg: Annotated[float, Strict(), Field(gt=0, le=180)] = Field(180.0, description="PAPER.md eq. 8")
     height_agl_max_m: Positive | None = Field(None, description="PAPER.md eq. 4's upper limit")
-    alt_amsl_max_m: float | None = None
+    alt_amsl_max_m: Number | None = None
     safety: Safety = Safety()
     tracking_error_m: NonNegative = 2.0
     endurance_s: Positive | None = None
@@ -278,7 +289,9 @@ class Vehicle(VehicleSettings):
     """One vehicle: from home straight up, through ``start``, ``stops`` and towers, to ``goal``."""
 
     name: Name
-    sysid: Annotated[int, Field(ge=1, le=250)] | None = Field(None, description="default: its place in the list")
+    sysid: Annotated[int, Strict(), Field(ge=1, le=250)] | None = Field(
+        None, description="default: its place in the list"
+    )
     home: Place | None = Field(None, description="default: on the ground below start")
     start: Point | None = None
     stops: tuple[Point, ...] = ()
@@ -296,7 +309,7 @@ class Fleet(Model):
     """Rules between vehicles."""
 
     separation_m: NonNegative = Field(20.0, description="least distance between any two, at every instant (eq. 9)")
-    arrive_together: bool = True
+    arrive_together: Flag = True
     arrival_time_s: Positive | None = Field(None, description="common arrival, after mission start; default: earliest")
     launch_interval_s: NonNegative = Field(0.0, description="vehicle i starts i times this later")
 
@@ -310,16 +323,18 @@ class Weights(Model):
     radar: NonNegative = Field(1.0, description="zones that are not hard (eq. 17)")
     atmosphere: NonNegative = Field(0.0, description="altitude squared (eq. 18)")
     climb: NonNegative = Field(0.1, description="height gained, as a stand-in for energy")
-    constraint: Positive = Field(100.0, description="every hard limit: terrain, obstacles, fence, flight limits, fellows")
+    constraint: Positive = Field(
+        100.0, description="every hard limit: terrain, obstacles, fence, flight limits, fellows"
+    )
 
 
 class Planner(Model):
     """Settings of the search."""
 
     algorithm: str = "pso-abc-sa"
-    population: Annotated[int, Field(ge=6, le=10_000)] = 50
-    iterations: Annotated[int, Field(ge=1, le=1_000_000)] = 200
-    seed: Annotated[int, Field(ge=0)] = 1
+    population: Annotated[int, Strict(), Field(ge=6, le=10_000)] = 50
+    iterations: Annotated[int, Strict(), Field(ge=1, le=1_000_000)] = 200
+    seed: Annotated[int, Strict(), Field(ge=0)] = 1
     weights: Weights = Weights()
     waypoint_tolerance_m: Positive = Field(2.0, description="uploaded legs stay this close to the planned curve")
 
@@ -335,7 +350,301 @@ class Mission(Model):
     obstacles: tuple[Obstacle, ...] = ()
     fence: Fence | None = None
     inspection: Inspection | None = None
-    defaults: dict[str, Any] = Field({}, description="fields of a vehicle, used where a vehicle does not say its own")
+    defaults: VehicleSettings = Field(
+        VehicleSettings(), description="what vehicles share, field by field; each may say its own instead"
+    )
     vehicles: tuple[Vehicle, ...] = Field(min_length=1, max_length=250)
     fleet: Fleet = Fleet()
     planner: Planner = Planner()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _share_defaults(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        defaults, vehicles = _plain(data.get("defaults", {})), data.get("vehicles")
+        if not isinstance(defaults, dict) or not isinstance(vehicles, list | tuple):
+            return data
+        merged = [_over(defaults, own) if isinstance(own := _plain(v), dict) else own for v in vehicles]
+        return {**data, "vehicles": merged}
+
+    @model_validator(mode="after")
+    def _names_are_unique(self) -> Mission:
+        towers = self.inspection.towers if self.inspection else ()
+        _expect_unique("name", {("vehicles", i): v.name for i, v in enumerate(self.vehicles)})
+        solids: dict[Location, str] = {("obstacles", i): o.name for i, o in enumerate(self.obstacles)}
+        _expect_unique("name", solids | {("inspection", "towers", i): t.name for i, t in enumerate(towers)})
+        _expect_unique("sysid", {("vehicles", i): v.sysid or i + 1 for i, v in enumerate(self.vehicles)})
+        return self
+
+    @model_validator(mode="after")
+    def _inspected_towers_exist(self) -> Mission:
+        names = [t.name for t in self.inspection.towers] if self.inspection else []
+        for i, vehicle in enumerate(self.vehicles):
+            if vehicle.inspects is None:
+                continue
+            if not names:
+                raise _error_at(("vehicles", i, "inspects"), "expected inspection.towers to choose from, got none")
+            for end in ("first", "last"):
+                name = getattr(vehicle.inspects, end)
+                if name not in names:
+                    problem = f"expected the name of a tower, got {name!r}: {_suggestion(name, names)}"
+                    raise _error_at(("vehicles", i, "inspects", end), problem)
+        return self
+
+
+def load_mission(path: Path) -> Mission:
+    """Read a mission file.
+
+    Raises
+    ------
+    MissionError
+        The file cannot be read, or is wrong: the message names file, line, field, what was expected and what came.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(_MAX_FILE_BYTES + 1)
+    except OSError as error:
+        reason = "a folder" if path.is_dir() else error.strerror
+        raise MissionError(f"{path}: expected a mission file that can be read, got: {reason}") from error
+    if len(content) > _MAX_FILE_BYTES:
+        raise MissionError(f"{path}: expected a mission file of at most {_MAX_FILE_BYTES} bytes, got more")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise MissionError(
+            f"{path}: expected UTF-8 text, got byte 0x{content[error.start]:02x} at offset {error.start}: "
+            "is this a mission file, saved as UTF-8?"
+        ) from error
+    return parse_mission(text, str(path))
+
+
+def parse_mission(text: str, source: str) -> Mission:
+    """Read a mission from YAML (or JSON) text; ``source`` names it in errors.
+
+    Raises
+    ------
+    MissionError
+        As :func:`load_mission`; the first mistake in the text is told, the others are listed after it.
+    """
+    document = parse_document(text, source)
+    if not isinstance(document.data, dict):
+        raise MissionError(f"{source}:1: expected a mapping of fields (name: ...), got {_shown(document.data)}")
+    try:
+        return Mission.model_validate(document.data)
+    except ValidationError as error:
+        mistakes = _mistakes(error, document)
+    line, first = mistakes[0]
+    rest = [f"line {n}: {text}" for n, text in mistakes[1:]]
+    more = f" (and {len(rest)} more: {'; '.join(rest[:3])}{'; ...' if len(rest) > 3 else ''})" if rest else ""
+    raise MissionError(f"{source}:{line}: {first}{more}")
+
+
+def mission_schema() -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of the mission file."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Mission.model_json_schema()}
+
+
+_MAX_FILE_BYTES = 16 * 1024 * 1024
+
+
+def _plain(part: Any) -> Any:
+    return part.model_dump(by_alias=True, exclude_unset=True) if isinstance(part, Model) else part
+
+
+def _over(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
+    """Return ``own`` with what it lacks taken from ``defaults``, also within common parts."""
+    merged = {**defaults, **own}
+    for key in defaults.keys() & own.keys():
+        if isinstance(defaults[key], dict) and isinstance(own[key], dict):
+            merged[key] = _over(defaults[key], own[key])
+    return merged
+
+
+# --- mistakes: from what pydantic found to one line with its place in the file -------------------------------------
+
+
+def _error_at(location: Location, problem: str) -> PydanticCustomError:
+    """Return an error of a validator that sees more than the field it blames."""
+    return PydanticCustomError("mission", "{problem}", {"problem": problem, "location": tuple(location)})
+
+
+def _expect_unique(field: str, values: dict[Location, Any]) -> None:
+    first: dict[Any, Location] = {}
+    for location, value in values.items():
+        if value in first:
+            problem = f"expected a {field} of its own, got {value!r} like {_path(first[value])}"
+            raise _error_at((*location, field), problem)
+        first[value] = location
+
+
+def _mistakes(error: ValidationError, document: Document) -> list[tuple[int, str]]:
+    """Return line and text of every mistake, in the order of the lines, each once."""
+    found: dict[str, int] = {}
+    details = error.errors(include_url=False)
+    misspelt = {
+        (*d["loc"][:-1], right)
+        for d in details
+        if d["type"] == "extra_forbidden"
+        for right in _nearest(d["loc"][-1], _fields(d["loc"][:-1]))
+    }
+    for detail in details:
+        if detail["type"] == "missing" and detail["loc"] in misspelt:
+            continue  # the misspelt field is told; that the right one is missing follows from it
+        if detail["type"] == "too_short" and any(_within(d["loc"], detail["loc"]) for d in details):
+            continue  # pydantic counts wrong items as missing ones
+        given = detail.get("ctx", {}).get("location") or detail["loc"]
+        location = _as_written(given, document.data)
+        found.setdefault(f"{_path(location) or 'mission'}: {_problem(detail)}", document.line(location))
+    return sorted((line, text) for text, line in found.items())
+
+
+def _within(inner: Location, outer: Location) -> bool:
+    return len(inner) > len(outer) and tuple(inner[: len(outer)]) == tuple(outer)
+
+
+def _as_written(location: Location, data: Any) -> Location:
+    """Return where the blamed value stands in the file: without the kinds that pydantic adds, in ``defaults`` if so."""
+    written: list[str | int] = []
+    value = data
+    for step in location:
+        if isinstance(value, dict) and step not in value and value.get("kind") == step:
+            continue
+        written.append(step)
+        value = _child(value, step)
+    if written[:1] == ["vehicles"] and len(written) > 2 and value is _ABSENT:
+        shared = ["defaults", *written[2:]]
+        if reduce(_child, shared, data) is not _ABSENT:
+            return shared
+    return written
+
+
+_ABSENT = object()
+
+
+def _child(value: Any, step: str | int) -> Any:
+    if isinstance(value, dict):
+        return value.get(step, _ABSENT)
+    inside = isinstance(value, list) and isinstance(step, int) and step < len(value)
+    return value[step] if inside else _ABSENT
+
+
+def _path(location: Location) -> str:
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in location).lstrip(".")
+
+
+_EXPECTED = {
+    "greater_than": "a number above {gt:g}",
+    "greater_than_equal": "a number of at least {ge:g}",
+    "less_than": "a number below {lt:g}",
+    "less_than_equal": "a number of at most {le:g}",
+    "finite_number": "a finite number",
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "path_type": "a file name",
+    "tuple_type": "a list",
+    "model_type": "a mapping of fields",
+    "model_attributes_type": "a mapping of fields",
+    "dict_type": "a mapping of fields",
+    "literal_error": "{expected}",
+    "string_pattern_mismatch": "a name of letters, digits, '_', '-' and '.'",
+    "string_too_short": "at least {min_length} character",
+    "string_too_long": "at most {max_length} characters",
+}
+
+
+def _problem(detail: ErrorDetails) -> str:
+    """Return what was expected and what came, in our words."""
+    kind, location, context = detail["type"], detail["loc"], detail.get("ctx", {})
+    match kind:
+        case "missing":
+            text = "expected this field, got none"
+        case "extra_forbidden":
+            text = f"expected a known field, got {location[-1]!r}: {_suggestion(location[-1], _fields(location[:-1]))}"
+        case "value_error":
+            text = str(context["error"])
+        case "mission":
+            text = str(context["problem"])
+        case "too_short":
+            text = f"expected at least {context['min_length']} of them, got {context['actual_length']}"
+        case "too_long":
+            text = f"expected at most {context['max_length']} of them, got {context['actual_length']}"
+        case "union_tag_not_found":
+            text = f"expected a field kind, one of {', '.join(_kinds(location))}, got none"
+        case "union_tag_invalid":
+            suggestion = _suggestion(context["tag"], _kinds(location))
+            text = f"expected kind to be one of {context['expected_tags']}, got {context['tag']!r}: {suggestion}"
+        case _:
+            expected = _EXPECTED[kind].format(**context) if kind in _EXPECTED else detail["msg"]
+            text = f"expected {expected}, got {_shown(detail['input'])}{_hint(detail)}"
+    return text
+
+
+def _hint(detail: ErrorDetails) -> str:
+    kind, value = detail["type"], detail["input"]
+    if detail["loc"][-1] == "lat_deg" and isinstance(value, float | int) and 84 < abs(value) <= 180:
+        return ": are latitude and longitude swapped?"
+    if kind in {"float_type", "int_type"} and isinstance(value, str) and value.replace(".", "", 1).isdigit():
+        return ": remove the quotes"
+    if kind == "string_type" and isinstance(value, bool | int | float):
+        return ": put it in quotes"
+    return ""
+
+
+def _shown(value: Any) -> str:
+    match value:
+        case None:
+            return "nothing"
+        case bool():
+            return str(value).lower()
+        case dict():
+            return "a mapping"
+        case list() | tuple():
+            return "a list"
+        case str():
+            return repr(value if len(value) <= 60 else value[:57] + "...")
+        case _:
+            return str(value)
+
+
+def _suggestion(wrong: Any, known: Sequence[str]) -> str:
+    near = _nearest(wrong, known)
+    return (
+        f"did you mean {near[0]}?" if near else f"known are {', '.join(known[:20])}{', ...' if len(known) > 20 else ''}"
+    )
+
+
+def _nearest(wrong: Any, known: Sequence[str]) -> list[str]:
+    return difflib.get_close_matches(str(wrong), known, n=1, cutoff=0.5)
+
+
+def _fields(location: Location) -> list[str]:
+    """Return the names of the fields that the mission file knows at ``location``."""
+    return list(_schema_at(location).get("properties", {}))
+
+
+def _kinds(location: Location) -> list[str]:
+    return list(_schema_at(location).get("discriminator", {}).get("mapping", {}))
+
+
+def _schema_at(location: Location) -> dict[str, Any]:
+    schema = mission_schema()
+
+    def resolved(part: dict[str, Any]) -> dict[str, Any]:
+        choices = [c for c in part.get("anyOf", []) if c.get("type") != "null"]
+        if len(choices) == 1:
+            part = choices[0]
+        return schema["$defs"][part["$ref"].rpartition("/")[2]] if "$ref" in part else part
+
+    part = resolved(schema)
+    for step in location:
+        kinds = part.get("discriminator", {}).get("mapping", {})
+        if isinstance(step, int):
+            part = resolved(part.get("items", {}))
+        elif step in kinds:
+            part = resolved({"$ref": kinds[step]})
+        else:
+            part = resolved(part.get("properties", {}).get(step, {}))
+    return part
