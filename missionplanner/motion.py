@@ -271,9 +271,7 @@ def _plan_leg(segments, leg, limits, start, end, speed_m_s, vertical_m_s):
     leg[_TOP] = _track_speed(leg, speed_m_s, min(limits[_CLIMB], vertical_m_s), min(limits[_DESCENT], vertical_m_s))
     vertical = limits[_VERTICAL_ACCELERATION]
     leg[_ACC] = _track_speed(leg, limits[_ACCELERATION], vertical, vertical)
-    _, peak, ramp_s, jerk_s, steady_s = _ramp(
-        0.0, leg[_TOP], leg[_ACC], limits[_JERK], limits[_SNAP], 0.5 * length
-    )
+    _, peak, ramp_s, jerk_s, steady_s = _ramp(0.0, leg[_TOP], leg[_ACC], limits[_JERK], limits[_SNAP], 0.5 * length)
     _put_ramp(segments, 0, 1.0, peak, ramp_s, jerk_s, steady_s)
     _chain(segments, 0)
     _brake(segments, leg, limits)
@@ -737,9 +735,7 @@ def _step_px4(fleet, i, dt):
             direction[axis] = np.sign(setpoint[axis] - coast)
             if direction[axis] == 0.0:
                 direction[axis] = np.sign(a0)
-            t1, t2, t3 = _axis_times(
-                a0, setpoint[axis] - velocity[axis], limits[_JERK], a_max, direction[axis]
-            )
+            t1, t2, t3 = _axis_times(a0, setpoint[axis] - velocity[axis], limits[_JERK], a_max, direction[axis])
             times[axis, 0] = t1
             times[axis, 1] = t2
             times[axis, 2] = t3
@@ -964,7 +960,9 @@ def _set_speed(fleet, i, speed_m_s):
         return
     for role in range(2):
         which = (fleet.slot[i] + role) % 3
-        _change_speed(fleet.legs[i, which], fleet.leg[i, which], fleet.limits[i], speed_m_s, fleet.routes[i, w, _VERTICAL])
+        _change_speed(
+            fleet.legs[i, which], fleet.leg[i, which], fleet.limits[i], speed_m_s, fleet.routes[i, w, _VERTICAL]
+        )
 
 
 @njit(cache=True)
