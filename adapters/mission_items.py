@@ -46,7 +46,8 @@ class MissionItem:
     """One MISSION_ITEM_INT in wire names and wire units (https://mavlink.io/en/messages/common.html#MISSION_ITEM_INT).
 
     ``x`` and ``y`` are latitude and longitude in 1e-7 degrees; ``z`` is metres in the datum of ``frame``:
-    0 (MAV_FRAME_GLOBAL) AMSL, 3 above home, 10 above ground; frame 2 (MAV_FRAME_MISSION) has no position.
+    0 (MAV_FRAME_GLOBAL) AMSL, 3 above home, 10 above ground; frame 2 (MAV_FRAME_MISSION) has no position. Floats are
+    held as the wire carries them, in single precision (0.2 mm at 2000 m), so that what reads back can be equal.
     """
 
     seq: int
@@ -61,6 +62,25 @@ class MissionItem:
     z: float = 0.0
     current: int = 0
     autocontinue: int = 1
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.frame <= 255 and 0 <= self.command <= 65_535):
+            raise MissionError(
+                f"mission item {self.seq}: expected a frame up to 255 and a command up to 65535, "
+                f"got {self.frame} and {self.command}"
+            )
+        for name in ("param1", "param2", "param3", "param4", "z"):
+            object.__setattr__(self, name, to_float32(getattr(self, name)))
+
+
+def to_float32(value: float) -> float:
+    """Return the nearest single-precision number; NaN as the one object ``math.nan``, so that items compare equal."""
+    return math.nan if math.isnan(value) else float(np.float32(value))
+
+
+def float32_text(value: float) -> str:
+    """Return the shortest decimal that reads back as the same single-precision number."""
+    return "nan" if math.isnan(value) else np.format_float_positional(np.float32(value), unique=True, trim="-")
 
 
 def degrees_to_wire(degrees: float) -> int:
