@@ -1,7 +1,7 @@
 """WGS84 and the local frame: x east and y north in metres, z altitude AMSL.
 
 The local frame is a transverse Mercator with scale 1 at the mission's origin (scale error 5e-6 at 20 km). It is not a
-tangent plane: there, 10 km from the origin, "up" is 7.8 m off altitude. pyproj's x/y (longitude-first) order stays here.
+tangent plane: there, 10 km from the origin, "up" is 7.8 m off altitude. pyproj's order, longitude first, stays here.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class LocalFrame:
     def crs(self) -> CRS:
         """The frame's horizontal coordinate system, for raster libraries."""
         return CRS.from_proj4(
-            f"+proj=tmerc +lat_0={self.origin_lat_deg!r} +lon_0={self.origin_lon_deg!r} +k=1 +ellps=WGS84 +units=m"
+            f"+proj=tmerc +lat_0={self.origin_lat_deg!r} +lon_0={self.origin_lon_deg!r} +k=1 +datum=WGS84 +units=m"
         )
 
     def to_local(self, lat_deg: npt.ArrayLike, lon_deg: npt.ArrayLike, alt_amsl_m: npt.ArrayLike) -> FloatArray:
