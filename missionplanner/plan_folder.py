@@ -1,0 +1,202 @@
+"""A plan on disk: ``plan.json`` and, where the terrain came from a file, the part of it that was used.
+
+The folder holds all that checking and flying the plan needs, wherever it is taken. What ``plan.json`` says of flights
+and clearances is for the reader: loading predicts and checks them again, so that an edited or damaged plan cannot
+carry over a verdict that no longer holds. The format is described in docs/PLAN_FILE.md.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from missionplanner import planner, proof
+from missionplanner.errors import MissionError
+from missionplanner.files import write_atomic
+from missionplanner.geodesy import FloatArray, LocalFrame
+from missionplanner.mission import parse_mission
+from missionplanner.path import length_m
+from missionplanner.path_search import PlannedPath
+from missionplanner.plan import Clearance, FleetPlan, VehiclePlan
+from missionplanner.planner import Schedule
+from missionplanner.scene import TERRAIN_NAME, Scene, build_scene, portable_mission
+from missionplanner.terrain import write_raster
+
+PLAN_NAME = "plan.json"
+FORMAT = "missionplanner-plan"
+VERSION = 1
+
+Vector = tuple[float, float, float]
+
+
+class _Record(BaseModel):
+    """What loading needs of ``plan.json``; the rest is there for readers."""
+
+    model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
+
+
+class _WaypointRecord(_Record):
+    position_m: Vector
+
+
+class _VehicleRecord(_Record):
+    name: str
+    path_m: tuple[Vector, ...] = Field(min_length=2)
+    waypoints: tuple[_WaypointRecord, ...] = Field(min_length=2)
+    speed_m_s: Annotated[float, Field(gt=0)]
+    start_delay_s: Annotated[float, Field(ge=0)]
+    window_s: tuple[float, float]
+    cost: float
+    cost_terms: dict[str, float]
+    history: tuple[float, ...]
+    evaluations: int
+
+
+class _PlanRecord(_Record):
+    format: Literal["missionplanner-plan"]
+    version: Literal[1]
+    seed: int
+    input_sha256: str
+    mission: dict[str, Any]
+    arrival_s: float | None
+    vehicles: tuple[_VehicleRecord, ...]
+
+
+def save_plan(folder: Path, scene: Scene, plan: FleetPlan) -> Path:
+    """Write the plan and return the path of its ``plan.json``; the same plan gives the same bytes.
+
+    Raises
+    ------
+    MissionError
+        The folder cannot be written to.
+    """
+    mission = portable_mission(scene)
+    if mission.terrain.kind == "raster":
+        write_raster(folder / TERRAIN_NAME, scene.terrain)
+    document = {
+        "format": FORMAT,
+        "version": VERSION,
+        "software_version": plan.software_version,
+        "seed": plan.seed,
+        "input_sha256": plan.input_sha256,
+        "arrival_s": plan.arrival_s,
+        "separation": plan.separation and _clearance(plan.separation, plan.frame),
+        "vehicles": [_vehicle(vehicle, plan.frame) for vehicle in plan.vehicles],
+        "mission": mission.model_dump(mode="json", by_alias=True, exclude_unset=True),
+    }
+    path = folder / PLAN_NAME
+    write_atomic(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
+    return path
+
+
+def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
+    """Read a plan folder; flights are predicted and clearances checked again.
+
+    Raises
+    ------
+    MissionError
+        There is no plan, it is damaged, of another version, or does not fit its own mission or terrain.
+    """
+    path = folder / PLAN_NAME
+    record = _read(path)
+    mission = parse_mission(json.dumps(record.mission), f"{path}: mission")
+    scene = build_scene(mission, folder)
+    if scene.input_sha256 != record.input_sha256:
+        raise MissionError(
+            f"{path}: expected the mission and terrain it was planned for (input_sha256 {record.input_sha256[:12]}...), "
+            f"got others ({scene.input_sha256[:12]}...): plan the mission again"
+        )
+    names = [task.name for task in scene.tasks]
+    if [vehicle.name for vehicle in record.vehicles] != names:
+        raise MissionError(f"{path}: expected plans for {', '.join(names)}, got others: plan the mission again")
+    paths = [_path(vehicle) for vehicle in record.vehicles]
+    schedules = [Schedule(v.start_delay_s, v.speed_m_s, v.window_s) for v in record.vehicles]
+    plan = planner.assemble(scene, paths, schedules, record.arrival_s, record.seed)
+    return scene, proof.checked(scene, plan)
+
+
+def _read(path: Path) -> _PlanRecord:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise MissionError(f"{path}: expected a plan folder with {PLAN_NAME}, got none: plan a mission first") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise MissionError(f"{path}: could not be read: {error}") from error
+    try:
+        return _PlanRecord.model_validate(json.loads(text))
+    except ValueError as error:
+        if isinstance(error, ValidationError):
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(step) for step in first["loc"]) or "the whole file"
+            problem = f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}"
+        else:
+            problem = f"not JSON: {error}"
+        raise MissionError(
+            f"{path}: expected a {FORMAT} of version {VERSION}, got a damaged one or another ({problem}): "
+            "plan the mission again"
+        ) from error
+
+
+def _path(record: _VehicleRecord) -> PlannedPath:
+    path_m = np.array(record.path_m)
+    return PlannedPath(
+        path_m=path_m,
+        waypoints_m=np.array([w.position_m for w in record.waypoints]),
+        length_m=float(length_m(path_m)),
+        cost=record.cost,
+        cost_terms=record.cost_terms,
+        history=np.array(record.history),
+        evaluations=record.evaluations,
+    )
+
+
+def _vehicle(vehicle: VehiclePlan, frame: LocalFrame) -> dict[str, Any]:
+    waypoints = [
+        {**_place(point, frame), "reached_s": round(float(t), 3), "position_m": point.tolist()}
+        for point, t in zip(vehicle.waypoints_m, vehicle.reached_s, strict=True)
+    ]
+    return {
+        "name": vehicle.name,
+        "sysid": vehicle.sysid,
+        "autopilot": vehicle.autopilot,
+        "class": vehicle.vehicle_class,
+        "home": _place(vehicle.home_m, frame),
+        "end": vehicle.end,
+        "speed_m_s": vehicle.speed_m_s,
+        "start_delay_s": vehicle.start_delay_s,
+        "window_s": list(vehicle.window_s),
+        "arrival_s": vehicle.arrival_s,
+        "landed_s": float(vehicle.trajectory.t_s[-1]),
+        "length_m": vehicle.length_m,
+        "cost": vehicle.cost,
+        "cost_terms": vehicle.cost_terms,
+        "evaluations": vehicle.evaluations,
+        "clearances": [_clearance(c, frame) for c in vehicle.clearances],
+        "waypoints": waypoints,
+        "path_m": vehicle.path_m.tolist(),
+        "history": vehicle.history.tolist(),
+    }
+
+
+def _place(position_m: FloatArray | Vector, frame: LocalFrame) -> dict[str, float]:
+    point = frame.geo_point(position_m)
+    return {
+        "lat_deg": round(point.lat_deg, 9),
+        "lon_deg": round(point.lon_deg, 9),
+        "alt_amsl_m": round(point.alt_amsl_m, 4),
+    }
+
+
+def _clearance(clearance: Clearance, frame: LocalFrame) -> dict[str, Any]:
+    return {
+        "to": clearance.what,
+        "distance_m": clearance.distance_m,
+        "required_m": clearance.required_m,
+        "ok": clearance.ok,
+        "at": _place(clearance.position_m, frame),
+        "t_s": clearance.t_s,
+    }

@@ -1,0 +1,215 @@
+"""The orchestrator: a scene becomes a fleet plan.
+
+Vehicles are planned one after the other, each pricing the ways of those before it; then all are timed together
+(PAPER.md eq. 10) and their predicted flights held against each other (eq. 9). Whoever comes too close is planned again
+around the other's flight, or starts later. What is returned has passed every check of :mod:`.proof`; else nothing is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from missionplanner import __version__, obstacles, proof, timing
+from missionplanner.clearance import Margins, polyline_legs
+from missionplanner.cost import Price
+from missionplanner.errors import InfeasibleError
+from missionplanner.geodesy import FloatArray
+from missionplanner.kernels import SpaceArrays
+from missionplanner.obstacles import CableSolid
+from missionplanner.path import evenly
+from missionplanner.path_search import PlannedPath, find_path
+from missionplanner.plan import FleetPlan, VehiclePlan
+from missionplanner.proof import Conflict
+from missionplanner.scene import Scene, VehicleTask
+
+_FELLOW_INSTANTS = 256
+_ROUNDS = 16
+_AVOID_S = 20.0
+"""How long before and after a conflict the other's flight is kept clear of."""
+_DELAY_S = 15.0
+
+
+class Watch(Protocol):
+    """Told how the work goes on: the vehicle's name and the share of its search that is done, 0 to 1."""
+
+    def __call__(self, vehicle: str, done: float) -> None: ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Schedule:
+    """When and how fast one vehicle flies its path."""
+
+    start_delay_s: float
+    speed_m_s: float
+    window_s: tuple[float, float]
+
+
+def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = None) -> FleetPlan:
+    """Return a plan for the whole fleet that is clear of terrain, obstacles, fence and itself.
+
+    The same scene and seed give the same plan, bit for bit. ``seed`` defaults to the mission's.
+
+    Raises
+    ------
+    InfeasibleError
+        No such plan was found; the message names the vehicles, and what blocks them or keeps them from arriving
+        together.
+    """
+    seed = scene.mission.planner.seed if seed is None else seed
+    generators = np.random.default_rng(seed).spawn(len(scene.tasks))
+    paths: list[PlannedPath] = []
+    for index, task in enumerate(scene.tasks):
+        paths.append(_path(scene, scene.space, task, paths, generators[index], watch))
+
+    delays_s = [index * scene.mission.fleet.launch_interval_s for index in range(len(paths))]
+    avoided: list[list[CableSolid]] = [[] for _ in paths]
+    for round_ in range(_ROUNDS):
+        schedules, arrival_s = schedule(scene, paths, delays_s)
+        plan = assemble(scene, paths, schedules, arrival_s, seed)
+        conflict = proof.worst_conflict(scene, plan)
+        if conflict is None:
+            checked = proof.checked(scene, plan)
+            reasons = proof.unsafe(scene, checked)
+            if reasons:
+                raise InfeasibleError("; ".join(reasons))
+            return checked
+        # the later one gives way; when that has not parted them, the other
+        for index in (conflict.second, conflict.first) if round_ % 2 == 0 else (conflict.first, conflict.second):
+            other = plan.vehicles[conflict.first if index == conflict.second else conflict.second]
+            flight = _flight_around(other, conflict, scene.tasks[index])
+            space = _with(scene.space, [*avoided[index], *flight])
+            fellows = [path for k, path in enumerate(paths) if k != index]
+            try:
+                paths[index] = _path(scene, space, scene.tasks[index], fellows, generators[index], watch)
+            except InfeasibleError:
+                continue
+            avoided[index] += flight
+            break
+        else:
+            delays_s[conflict.second] += _DELAY_S
+    raise InfeasibleError(
+        f"{conflict}, and {_ROUNDS} new plans did not part them: move their starts, goals or stops apart, set "
+        "fleet.launch_interval_s, or lower fleet.separation_m"
+    )
+
+
+def schedule(
+    scene: Scene, paths: Sequence[PlannedPath], delays_s: Sequence[float]
+) -> tuple[list[Schedule], float | None]:
+    """Return when and how fast each vehicle flies, and the common arrival if the mission asks for one (eq. 10).
+
+    Raises
+    ------
+    InfeasibleError
+        The fleet cannot arrive together, or a vehicle cannot stay within its endurance.
+    """
+    fleet = scene.mission.fleet
+    windows = [timing.arrival_window(task, p.waypoints_m) for task, p in zip(scene.tasks, paths, strict=True)]
+    if not fleet.arrive_together:
+        speeds = [task.limits.speed_max_m_s for task in scene.tasks]
+        return [Schedule(*s) for s in zip(delays_s, speeds, windows, strict=True)], None
+    names = [task.name for task in scene.tasks]
+    arrival_s = timing.common_arrival(
+        dict(zip(names, windows, strict=True)), dict(zip(names, delays_s, strict=True)), fleet.arrival_time_s
+    )
+    schedules = [
+        Schedule(delay, timing.speed_for_arrival(task, path.waypoints_m, arrival_s - delay), window)
+        for task, path, delay, window in zip(scene.tasks, paths, delays_s, windows, strict=True)
+    ]
+    return schedules, arrival_s
+
+
+def assemble(
+    scene: Scene, paths: Sequence[PlannedPath], schedules: Sequence[Schedule], arrival_s: float | None, seed: int
+) -> FleetPlan:
+    """Return the fleet plan of paths and schedules, flights predicted, nothing checked yet."""
+    vehicles = []
+    for task, path, when in zip(scene.tasks, paths, schedules, strict=True):
+        flight = timing.predict_flight(task, path.waypoints_m, when.speed_m_s, when.start_delay_s)
+        vehicles.append(
+            VehiclePlan(
+                name=task.name,
+                sysid=task.sysid,
+                autopilot=task.motion.autopilot,
+                vehicle_class=task.motion.vehicle_class,
+                motion=task.motion,
+                home_m=task.home_m,
+                path_m=path.path_m,
+                waypoints_m=path.waypoints_m,
+                end=task.end,
+                length_m=path.length_m,
+                speed_m_s=when.speed_m_s,
+                start_delay_s=when.start_delay_s,
+                window_s=when.window_s,
+                arrival_s=float(flight.reached_s[-1]),
+                reached_s=flight.reached_s,
+                trajectory=flight.trajectory,
+                cost=path.cost,
+                cost_terms=path.cost_terms,
+                history=path.history,
+                evaluations=path.evaluations,
+                clearances=(),
+            )
+        )
+    return FleetPlan(
+        mission=scene.mission,
+        frame=scene.frame,
+        vehicles=tuple(vehicles),
+        arrival_s=arrival_s,
+        separation=None,
+        seed=seed,
+        software_version=__version__,
+        input_sha256=scene.input_sha256,
+    )
+
+
+def _path(
+    scene: Scene,
+    space: SpaceArrays,
+    task: VehicleTask,
+    fellows: Sequence[PlannedPath],
+    rng: np.random.Generator,
+    watch: Watch | None,
+) -> PlannedPath:
+    """Return one vehicle's path; the ways of ``fellows`` are priced as if all flew evenly and arrived together."""
+    fellows_m = np.stack([evenly(f.path_m, _FELLOW_INSTANTS) for f in fellows]) if fellows else None
+    margins = Margins.of(task.limits)
+
+    def price_of(extra_m: float) -> Price:
+        return Price(
+            space=space,
+            limits=task.limits,
+            route_length_m=float(np.linalg.norm(np.diff(task.route_m, axis=0), axis=1).sum()),
+            weights=scene.mission.planner.weights,
+            towers=scene.towers,
+            fellows=fellows_m,
+            separation_m=scene.mission.fleet.separation_m,
+            clearance_extra_m=extra_m,
+        )
+
+    def flown_is_clear(waypoints_m: FloatArray) -> bool:
+        flight = timing.predict_flight(task, waypoints_m, task.limits.speed_max_m_s)
+        airborne = proof.airborne_part(flight.trajectory, float(flight.reached_s[0]))
+        return bool(proof.all_clear(space, margins, polyline_legs(airborne.position_m)))
+
+    on_iteration = None if watch is None else lambda done: watch(task.name, done)
+    return find_path(task, space, price_of, scene.mission.planner, rng, flown_is_clear, on_iteration)
+
+
+def _flight_around(other: VehiclePlan, conflict: Conflict, task: VehicleTask) -> list[CableSolid]:
+    """Return the other's predicted flight around the conflict as solids that ``task`` keeps clear of."""
+    times = np.linspace(conflict.t_s - _AVOID_S, conflict.t_s + _AVOID_S, 17)
+    points = other.trajectory.at(times)
+    points = points[np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-3])]
+    if len(points) == 1:
+        points = np.concatenate([points, points + [0.0, 0.0, 0.1]])
+    radius_m = max(0.5, conflict.required_m + 1.0 - Margins.of(task.limits).obstacle_m)
+    return [CableSolid(other.name, a, b, radius_m) for a, b in zip(points[:-1], points[1:], strict=True)]
+
+
+def _with(space: SpaceArrays, solids: Sequence[CableSolid]) -> SpaceArrays:
+    return space._replace(obstacles=obstacles.join(space.obstacles, obstacles.pack(solids).arrays))

@@ -1,0 +1,120 @@
+"""What a plan and a flight come to, once: as a dictionary for ``--json``, and as tables of the same figures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rich.table import Table
+
+from missionplanner.plan import Clearance, FleetFlight, FleetPlan
+from missionplanner.proof import FlightCheck
+
+
+def summarise(plan: FleetPlan, flight: FleetFlight | None = None, check: FlightCheck | None = None) -> dict[str, Any]:
+    """Return the figures of a plan and, where it was flown, of its flight; all of them plain JSON values."""
+    vehicles = []
+    for index, vehicle in enumerate(plan.vehicles):
+        row: dict[str, Any] = {
+            "name": vehicle.name,
+            "sysid": vehicle.sysid,
+            "length_m": round(vehicle.length_m, 2),
+            "waypoints": len(vehicle.waypoints_m),
+            "speed_m_s": vehicle.speed_m_s,
+            "start_delay_s": vehicle.start_delay_s,
+            "window_s": [round(t, 2) for t in vehicle.window_s],
+            "arrival_s": round(vehicle.arrival_s, 2),
+            "cost": vehicle.cost,
+            "clearances": [_clearance(c) for c in vehicle.clearances],
+        }
+        if flight is not None and check is not None:
+            arrival_s = flight.vehicles[index].arrival_s
+            row["flown_arrival_s"] = None if arrival_s is None else round(arrival_s, 2)
+            row["flown_clearances"] = [_clearance(c) for c in check.clearances[index]]
+        vehicles.append(row)
+    fleet: dict[str, Any] = {
+        "arrival_s": None if plan.arrival_s is None else round(plan.arrival_s, 2),
+        "separation": plan.separation and _clearance(plan.separation),
+        "clear": all(c.ok for v in plan.vehicles for c in v.clearances) and (not plan.separation or plan.separation.ok),
+    }
+    if flight is not None and check is not None:
+        spread_s = flight.arrival_spread_s
+        fleet["flown_arrival_spread_s"] = None if spread_s is None else round(spread_s, 3)
+        fleet["flown_separation"] = check.separation and _clearance(check.separation)
+        fleet["flown_clear"] = check.ok
+    return {
+        "mission": plan.mission.name,
+        "seed": plan.seed,
+        "software_version": plan.software_version,
+        "input_sha256": plan.input_sha256,
+        "vehicles": vehicles,
+        "fleet": fleet,
+    }
+
+
+def vehicle_table(summary: dict[str, Any]) -> Table:
+    """Return one row per vehicle: length, speed, predicted and flown arrival, least clearances."""
+    flown = "flown_clear" in summary["fleet"]
+    table = Table(title=f"{summary['mission']}: {'flown' if flown else 'planned'}")
+    for heading in ("vehicle", "length m", "speed m/s", "window s", "predicted arrival s"):
+        table.add_column(heading, justify="left" if heading == "vehicle" else "right")
+    if flown:
+        table.add_column("flown arrival s", justify="right")
+    table.add_column("height above ground m", justify="right")
+    table.add_column("nearest obstacle m")
+    for row in summary["vehicles"]:
+        clearances = row["flown_clearances" if flown else "clearances"]
+        cells = [
+            row["name"],
+            f"{row['length_m']:.0f}",
+            f"{row['speed_m_s']:.2f}",
+            f"{row['window_s'][0]:.0f} - {row['window_s'][1]:.0f}",
+            f"{row['arrival_s']:.1f}",
+        ]
+        if flown:
+            arrival_s = row["flown_arrival_s"]
+            cells.append("never" if arrival_s is None else f"{arrival_s:.1f}")
+        cells.append(_least(clearances, "terrain"))
+        cells.append(_least(clearances, "obstacle"))
+        table.add_row(*cells)
+    return table
+
+
+def fleet_lines(summary: dict[str, Any]) -> list[str]:
+    """Return the fleet's figures, a line each."""
+    fleet = summary["fleet"]
+    lines = []
+    if fleet["arrival_s"] is not None:
+        lines.append(f"common arrival: {fleet['arrival_s']:.1f} s after mission start")
+    if fleet["separation"]:
+        lines.append(f"least separation predicted: {_apart(fleet['separation'])}")
+    if "flown_clear" not in fleet:
+        return lines
+    if fleet["arrival_s"] is not None:
+        spread_s = fleet["flown_arrival_spread_s"]
+        lines.append(f"spread of arrivals flown: {'not all arrived' if spread_s is None else f'{spread_s:.2f} s'}")
+    if fleet["flown_separation"]:
+        lines.append(f"least separation flown: {_apart(fleet['flown_separation'])}")
+    lines.append("flown clear of terrain, obstacles and each other: " + ("yes" if fleet["flown_clear"] else "NO"))
+    return lines
+
+
+def _clearance(clearance: Clearance) -> dict[str, Any]:
+    return {
+        "to": clearance.what,
+        "distance_m": round(clearance.distance_m, 2),
+        "required_m": round(clearance.required_m, 2),
+        "ok": clearance.ok,
+        "t_s": None if clearance.t_s is None else round(clearance.t_s, 1),
+    }
+
+
+def _least(clearances: list[dict[str, Any]], kind: str) -> str:
+    for c in clearances:
+        if (c["to"] == kind) or (kind == "obstacle" and c["to"] not in {"terrain", "ceiling", "fence"}):
+            where = "" if kind == "terrain" else f" {c['to']}"
+            return f"{c['distance_m']:.1f} (>= {c['required_m']:g}){where}"
+    return "-"
+
+
+def _apart(c: dict[str, Any]) -> str:
+    return f"{c['distance_m']:.1f} m (>= {c['required_m']:g} m), {c['to']}, at {c['t_s']:.0f} s"
