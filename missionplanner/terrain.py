@@ -140,8 +140,8 @@ def _read(
     horizontal = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
     to_crs = _Way(frame, horizontal, 0.5 * (dataset.bounds.left + dataset.bounds.right), name)
-    to_cell = _fit(frame, to_crs, ~dataset.transform, area, name)
-    row, col = (_monomials(*_lattice(area, 65)) @ to_cell.T).T
+    coordinates = _fit(to_crs, area, dataset.transform, name)
+    row, col = (_monomials(*_lattice(area, 65)) @ _cells(coordinates, dataset.transform).T).T
     top, left = (max(0, math.floor(v.min()) - _MARGIN_CELLS) for v in (row, col))
     bottom = min(dataset.height, math.ceil(row.max()) + _MARGIN_CELLS + 1)
     right = min(dataset.width, math.ceil(col.max()) + _MARGIN_CELLS + 1)
@@ -158,7 +158,8 @@ def _read(
 
     window = Window(left, top, right - left, bottom - top)
     heights = _heights_m(dataset, window, metres_per_unit, geoid_undulation_m or 0.0)
-    to_cell[:, 0] -= (top, left)
+    transform = dataset.transform * Affine.translation(left, top)
+    to_cell = _cells(coordinates, transform)
     spacing_m = _spacing_m(to_cell, area)
     return Terrain(
         arrays=TerrainArrays(heights, to_cell),
@@ -166,7 +167,7 @@ def _read(
         description=f"{name} ({bottom - top} x {right - left} samples {spacing_m:.3g} m apart)",
         reference=GridReference(
             crs_wkt=horizontal.to_wkt(),
-            transform=tuple(dataset.transform * Affine.translation(left, top))[:6],
+            transform=tuple(transform)[:6],
             tags=tuple(sorted((k, v) for k, v in dataset.tags().items() if k != "AREA_OR_POINT")),
         ),
     )
@@ -306,27 +307,34 @@ class _Way:
         return lat_deg, lon_deg
 
 
-def _fit(frame: LocalFrame, to_crs: _Way, to_pixel: Affine, area: Rectangle, name: str) -> FloatArray:
-    """Return ``to_cell`` (2, 10) of the whole file, by least squares over the area (and some of its surroundings)."""
+def _fit(to_crs: _Way, area: Rectangle, transform: Affine, name: str) -> FloatArray:
+    """Return a file's two coordinates as polynomials (2, 10) of the local ones, by least squares around the area.
+
+    They do not depend on where the file's grid begins, so that a crop is read exactly as the whole was.
+    """
     middle = (0.5 * (area[0] + area[2]), 0.5 * (area[1] + area[3]))
     reach = [max(_FIT_REACH_M, 0.5 * (area[k + 2] - area[k])) for k in (0, 1)]
     x, y = _lattice((middle[0] - reach[0], middle[1] - reach[1], middle[0] + reach[0], middle[1] + reach[1]), 33)
-    across, along = to_crs(x, y)
-    a, b, c, d, e, f = to_pixel[:6]
-    row, col = d * across + e * along + f, a * across + b * along + c
-    cells = np.stack([row, col], axis=-1) - 0.5  # raster files count from the corner of a pixel, we from its centre
+    exact = np.stack(to_crs(x, y), axis=-1)
     terms = _monomials(x, y)
     scale = np.abs(terms).max(axis=0)
-    to_cell: FloatArray = np.linalg.lstsq(terms / scale, cells, rcond=None)[0].T / scale
-    # The last bits depend on where a file begins; without them, a crop of the file gives the same fit
-    to_cell = np.round(to_cell, 9) + 0.0
-    worst = float(np.abs(terms @ to_cell.T - cells).max())
+    coordinates: FloatArray = np.linalg.lstsq(terms / scale, exact, rcond=None)[0].T / scale
+    pixel = np.array([[transform.a, transform.b], [transform.d, transform.e]])
+    worst = float(np.abs(np.linalg.solve(pixel, (terms @ coordinates.T - exact).T)).max())
     if not worst < _FIT_TOLERANCE_CELLS:
         size = " x ".join(f"{(area[k + 2] - area[k]) / 1000:.0f}" for k in (0, 1))
         raise MissionError(
             f"terrain.file {name}: expected an area that maps smoothly onto the file's coordinates, got {size} km with "
             f"an error of {worst:.2g} cells: make the area smaller"
         )
+    return coordinates
+
+
+def _cells(coordinates: FloatArray, transform: Affine) -> FloatArray:
+    """Return ``to_cell`` (2, 10): rows and columns of sample centres instead of a file's coordinates."""
+    a, b, c, d, e, f = (~transform)[:6]
+    to_cell: FloatArray = np.array([[d, e], [a, b]]) @ coordinates
+    to_cell[:, 0] += np.array([f, c]) - 0.5  # files count from the corner of a pixel
     return to_cell
 
 
