@@ -12,7 +12,8 @@ Three navigators, each after the code that flies the real vehicle:
 Routes are points of the local frame (x east, y north, z altitude AMSL). A leg's speed is horizontal, as autopilots
 understand it; vertical rates have their own limits, and the slower of the two decides.
 
-Sources: https://ardupilot.org/copter/docs/auto-mode.html, https://docs.px4.io/main/en/config_mc/mc_jerk_limited_type_trajectory.html,
+Sources: https://ardupilot.org/copter/docs/auto-mode.html,
+https://docs.px4.io/main/en/config_mc/mc_jerk_limited_type_trajectory.html,
 https://ardupilot.org/plane/docs/navigation-tuning.html.
 """
 
@@ -1139,3 +1140,67 @@ def fly(navigator: Navigator, route: Route) -> tuple[Trajectory, FloatArray]:
     return Trajectory(np.arange(ticks + 1) * TICK_S, flown[: ticks + 1].copy()), fleet.reached_s[
         0, : len(route.points_m)
     ].copy()
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# What autopilots do on their own: take off, land, return.
+
+_ARDUCOPTER_SPOOL_S = 0.2  # from the command to the first movement, what a smoother start than measured leaves of it
+_ARDUCOPTER_DISARM_S = 2.5  # from touch-down to motors off
+_PX4_SPOOL_S = 3.7
+_PX4_DISARM_S = 2.5
+_SLOW_BELOW_M = 10.0  # LAND_ALT_LOW, MPC_LAND_ALT1: the descent slows down this high above the ground
+_RTL_SPEED_M_S = 10.0  # RTL_SPEED = 0: WPNAV_SPEED, whatever speed the mission has set
+_RTL_HEIGHT_M = {"ardupilot": 15.0, "px4": 60.0}  # RTL_ALT, RTL_RETURN_ALT
+_RTL_WAIT_S = {"ardupilot": 5.0, "px4": 0.0}  # RTL_LOIT_TIME, RTL_LAND_DELAY
+
+
+def takeoff_points(model: MotionModel, home_m: npt.ArrayLike, top_m: npt.ArrayLike, speed_m_s: float = 15.0) -> Route:
+    """Return the take-off from rest at ``home_m`` (3,) to ``top_m`` (3,): a copter's is vertical.
+
+    ``speed_m_s`` is a plane's airspeed. A copter's route has one more point at its beginning: the wait for the motors.
+    """
+    home = np.asarray(home_m, dtype=float)
+    top = np.asarray(top_m, dtype=float)
+    if model.vehicle_class == "plane":
+        return Route.through([top], speed_m_s)
+    if model.autopilot == "ardupilot":
+        return Route.through([home, top], model.climb_rate_m_s, [_ARDUCOPTER_SPOOL_S, 0.0])
+    knee = home + [0.0, 0.0, min(_SLOW_BELOW_M, max(top[2] - home[2], 0.0))]  # MPC_TKO_SPEED up to here
+    return Route.through([home, knee, top], model.climb_rate_m_s, [_PX4_SPOOL_S, 0.0, 0.0], [math.inf, 1.5, math.inf])
+
+
+def landing_points(model: MotionModel, from_m: npt.ArrayLike, ground_amsl_m: float, speed_m_s: float = 15.0) -> Route:
+    """Return the landing straight below ``from_m`` (3,), up to the moment the motors stop.
+
+    A plane, which nobody should ask for this, circles down at ``speed_m_s``.
+    """
+    start = np.asarray(from_m, dtype=float)
+    if model.vehicle_class == "plane":
+        return Route.through([[start[0], start[1], ground_amsl_m]], speed_m_s)
+    slow = (
+        [(_SLOW_BELOW_M, math.inf), (0.0, 0.5)]  # LAND_SPEED
+        if model.autopilot == "ardupilot"
+        else [(_SLOW_BELOW_M, math.inf), (5.0, 1.0), (0.0, 0.55)]  # MPC_LAND_SPEED, blended in below MPC_LAND_ALT1
+    )
+    legs = [(height, rate) for height, rate in slow if ground_amsl_m + height < start[2] or height == 0.0]
+    points = [[start[0], start[1], ground_amsl_m + height] for height, _ in legs]
+    hold_s = np.full(len(legs), TICK_S if model.autopilot == "ardupilot" else 0.0)  # slows down nearly to a stop
+    hold_s[-1] = _ARDUCOPTER_DISARM_S if model.autopilot == "ardupilot" else _PX4_DISARM_S
+    return Route.through(points, model.descent_rate_m_s, hold_s, [rate for _, rate in legs])
+
+
+def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLike, speed_m_s: float = 15.0) -> Route:
+    """Return the way home (RTL): up to the return height if below it, straight home, wait, land.
+
+    ``speed_m_s`` is a plane's airspeed; a plane stays above its home.
+    """
+    start = np.asarray(from_m, dtype=float)
+    home = np.asarray(home_m, dtype=float)
+    if model.vehicle_class == "plane":
+        return Route.through([[home[0], home[1], max(start[2], home[2] + 100.0)]], speed_m_s)  # RTL_ALTITUDE
+    height = max(start[2], home[2] + _RTL_HEIGHT_M[model.autopilot])
+    above = np.array([home[0], home[1], height])
+    way = Route.through([[start[0], start[1], height], above], _RTL_SPEED_M_S, [0.0, _RTL_WAIT_S[model.autopilot]])
+    down = landing_points(model, above, float(home[2]))
+    return Route(*(np.concatenate(pair) for pair in zip(way, down, strict=True)))
