@@ -2,14 +2,43 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
+from missionplanner import kernels, mission, terrain
+from missionplanner.clearance import Margins
+from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray, LocalFrame
+from missionplanner.kernels import SpaceArrays
 from missionplanner.mission import Mission
-from missionplanner.obstacles import Obstacles
-from missionplanner.terrain import Terrain
-from missionplanner.vehicle import Ending, MotionModel, VehicleLimits
+from missionplanner.obstacles import (
+    CableSolid,
+    ConeSolid,
+    CylinderSolid,
+    Obstacles,
+    PrismSolid,
+    Solid,
+    SphereSolid,
+    check_polygon,
+    pack,
+)
+from missionplanner.terrain import Rectangle, Terrain
+from missionplanner.vehicle import Ending, MotionModel, VehicleLimits, ending, motion_model, vehicle_limits
+
+TERRAIN_NAME = "terrain.tif"
+"""The terrain file of a mission made portable by :func:`portable_mission`."""
+
+_REACH_M = 100_000.0  # of the local frame; further away, a place is more likely a slip than meant
+_AREA_ROOM_M, _AREA_ROOM_SHARE = 300.0, 0.2
+_TAKEOFF_ROOM_M = 10.0
+_SAME_PLACE_M = 1.0
+_TOLERANCE_M = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +74,8 @@ class Scene:
     terrain: Terrain
     obstacles: Obstacles
     towers: Towers | None
-    area_m: tuple[float, float, float, float]  # west, south, east, north
+    area_m: Rectangle
+    space: SpaceArrays
     tasks: tuple[VehicleTask, ...]
     input_sha256: str
 
@@ -56,7 +86,496 @@ def build_scene(mission: Mission, folder: Path) -> Scene:
     Raises
     ------
     MissionError
-        A terrain file that cannot be read or does not cover a place; a start, stop or goal below ground, inside an
-        obstacle or outside the fence; two vehicles with one home or start; an unknown tower.
+        A terrain file that cannot be read or does not cover a place, or has voids along the way; a start, stop or goal
+        below ground, inside an obstacle or outside the fence; two vehicles with one home or start.
     """
-    raise NotImplementedError
+    return _Builder(mission, folder).scene()
+
+
+def portable_mission(scene: Scene) -> Mission:
+    """Return the scene's mission as it reads beside ``terrain.tif``, the terrain that :func:`.write_raster` writes.
+
+    A mission whose terrain is not a file needs none. Defaults are already part of the vehicles.
+    """
+    return _portable(scene.mission)
+
+
+def _portable(question: Mission) -> Mission:
+    changes: dict[str, object] = {"defaults": mission.VehicleSettings()}
+    if question.terrain.kind == "raster":
+        changes["terrain"] = question.terrain.model_copy(
+            update={"file": Path(TERRAIN_NAME), "geoid_undulation_m": None}
+        )
+    return question.model_copy(update=changes)
+
+
+def _input_sha256(question: Mission, ground: Terrain) -> str:
+    """Return a hash of all that a plan depends on, the same wherever and under whatever name the terrain is kept."""
+    digest = hashlib.sha256(_portable(question).model_dump_json(by_alias=True).encode())
+    heights = ground.arrays.height_amsl_m
+    digest.update(repr((heights.shape, ground.reference.transform)).encode())
+    digest.update(np.where(np.isnan(heights), np.float32(np.nan), heights).astype("<f4").tobytes())
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spot:
+    """A point of a route and what it is called in errors."""
+
+    what: str
+    position_m: FloatArray
+
+
+class _Builder:
+    """Resolves one mission, part by part: each step uses what those before it left."""
+
+    def __init__(self, question: Mission, folder: Path) -> None:
+        self._mission = question
+        self._frame = LocalFrame(question.origin.lat_deg, question.origin.lon_deg)
+        self._area, self._terrain = self._area_and_terrain(folder)
+        self._towers = self._tower_tops()
+        self._obstacles = pack([*map(self._solid, itertools.count(), question.obstacles), *self._line_solids()])
+        self._space = self._everything()
+
+    def scene(self) -> Scene:
+        tasks = tuple(self._task(i, vehicle) for i, vehicle in enumerate(self._mission.vehicles))
+        self._check_apart(tasks)
+        return Scene(
+            mission=self._mission,
+            frame=self._frame,
+            terrain=self._terrain,
+            obstacles=self._obstacles,
+            towers=self._towers,
+            area_m=self._area,
+            space=self._space,
+            tasks=tasks,
+            input_sha256=_input_sha256(self._mission, self._terrain),
+        )
+
+    # --- places
+
+    def _xy(self, place: mission.Place, what: str) -> tuple[float, float]:
+        if place.x_m is not None and place.y_m is not None:
+            x, y = place.x_m, place.y_m
+        else:
+            assert place.lat_deg is not None
+            assert place.lon_deg is not None
+            x, y, _ = self._frame.to_local(place.lat_deg, place.lon_deg, 0.0).tolist()
+        distance = math.hypot(x, y)
+        if not distance <= _REACH_M:
+            raise MissionError(
+                f"{what}: expected a place within {_REACH_M / 1000:.0f} km of the origin, got one "
+                f"{distance / 1000:.0f} km away: check signs and order of its coordinates, or move the origin"
+            )
+        return x, y
+
+    def _outline(self, places: Sequence[mission.Place], what: str) -> FloatArray:
+        return np.array([self._xy(place, f"{what}[{k}]") for k, place in enumerate(places)])
+
+    def _position(self, point: mission.Point, what: str) -> FloatArray:
+        x, y = self._xy(point, what)
+        if point.alt_amsl_m is not None:
+            return np.array([x, y, point.alt_amsl_m])
+        assert point.height_agl_m is not None
+        return np.array([x, y, self._terrain.ground_amsl_m(x, y, what) + point.height_agl_m])
+
+    # --- area and terrain
+
+    def _area_and_terrain(self, folder: Path) -> tuple[Rectangle, Terrain]:
+        needed = _around(self._places_needed())
+        wanted = self._wanted_area(needed)
+        ground = self._load_terrain(folder, wanted)
+        if self._mission.area is not None:
+            return wanted, ground
+        return _clipped(ground, needed, wanted), ground
+
+    def _wanted_area(self, needed: Rectangle) -> Rectangle:
+        area, fence = self._mission.area, self._mission.fence
+        if area is not None:
+            west, south = self._xy(area.south_west, "area.south_west")
+            east, north = self._xy(area.north_east, "area.north_east")
+            if not (west < east and south < north):
+                raise MissionError(
+                    "area: expected south_west to lie south and west of north_east, got "
+                    f"x {west:.0f} to {east:.0f} m and y {south:.0f} to {north:.0f} m"
+                )
+            return west, south, east, north
+        if fence is not None:
+            return _around(self._outline(fence.polygon, "fence.polygon"))
+        west, south, east, north = _around([needed[:2], needed[2:], *self._places_of_obstacles()])
+        room = max(_AREA_ROOM_M, _AREA_ROOM_SHARE * max(east - west, north - south))
+        return west - room, south - room, east + room, north + room
+
+    def _places_needed(self) -> Iterator[tuple[float, float]]:
+        for i, vehicle in enumerate(self._mission.vehicles):
+            for field in ("home", "start", "goal"):
+                place = getattr(vehicle, field)
+                if place is not None:
+                    yield self._xy(place, _named(i, vehicle, field))
+            for k, stop in enumerate(vehicle.stops):
+                yield self._xy(stop, _named(i, vehicle, f"stops[{k}]"))
+        if self._mission.inspection is not None:
+            for i, tower in enumerate(self._mission.inspection.towers):
+                yield self._xy(tower, _tower(i, tower))
+
+    def _places_of_obstacles(self) -> Iterator[tuple[float, float]]:
+        for i, obstacle in enumerate(self._mission.obstacles):
+            what = _obstacle(i, obstacle)
+            match obstacle:
+                case mission.NoFly():
+                    yield from self._outline(obstacle.polygon, f"{what}.polygon").tolist()
+                case mission.Cable():
+                    yield self._xy(obstacle.start, f"{what}.start")
+                    yield self._xy(obstacle.end, f"{what}.end")
+                case _:
+                    x, y = self._xy(obstacle.center, f"{what}.center")
+                    radius = obstacle.base_radius_m if isinstance(obstacle, mission.Cone) else obstacle.radius_m
+                    yield x - radius, y - radius
+                    yield x + radius, y + radius
+
+    def _load_terrain(self, folder: Path, area: Rectangle) -> Terrain:
+        source = self._mission.terrain
+        match source:
+            case mission.RasterTerrain():
+                return terrain.read_raster(folder / source.file, self._frame, area, source.geoid_undulation_m)
+            case mission.PeaksTerrain():
+                peaks = [
+                    (*self._xy(peak, f"terrain.peaks[{i}]"), peak.height_m, peak.spread_m)
+                    for i, peak in enumerate(source.peaks)
+                ]
+                return terrain.peaks_terrain(peaks, source.base_alt_amsl_m, source.cell_m, self._frame, area)
+            case mission.FlatTerrain():
+                return terrain.flat_terrain(source.alt_amsl_m, self._frame, area)
+
+    # --- solids
+
+    def _solid(self, index: int, obstacle: mission.Obstacle) -> Solid:
+        what, name = _obstacle(index, obstacle), obstacle.name
+        match obstacle:
+            case mission.Cylinder():
+                x, y = self._xy(obstacle.center, f"{what}.center")
+                outline = _circle(x, y, obstacle.radius_m)
+                return CylinderSolid(name, x, y, obstacle.radius_m, self._top(obstacle, outline, what))
+            case mission.Cone():
+                x, y = self._xy(obstacle.center, f"{what}.center")
+                base = obstacle.base_alt_amsl_m
+                if base is None:
+                    base = self._terrain.ground_amsl_m(x, y, what)
+                return ConeSolid(name, x, y, obstacle.base_radius_m, base, obstacle.height_m)
+            case mission.Radar():
+                x, y, z = self._position(obstacle.center, f"{what}.center").tolist()
+                return SphereSolid(name, x, y, z, obstacle.radius_m, "radar", obstacle.hard)
+            case mission.Marine():
+                x, y, z = self._position(obstacle.center, f"{what}.center").tolist()
+                return SphereSolid(name, x, y, z, obstacle.radius_m, "marine")
+            case mission.NoFly():
+                outline = self._outline(obstacle.polygon, f"{what}.polygon")
+                floor = -math.inf if obstacle.floor_alt_amsl_m is None else obstacle.floor_alt_amsl_m
+                return PrismSolid(name, outline, floor, self._top(obstacle, outline, what))
+            case mission.Cable():
+                start = self._position(obstacle.start, f"{what}.start")
+                end = self._position(obstacle.end, f"{what}.end")
+                return CableSolid(name, start, end, obstacle.radius_m)
+
+    def _top(self, obstacle: mission.Cylinder | mission.NoFly, outline: FloatArray, what: str) -> float:
+        if obstacle.top_alt_amsl_m is not None:
+            return obstacle.top_alt_amsl_m
+        if obstacle.top_height_agl_m is None:
+            return math.inf
+        return self._highest_ground(outline, what) + obstacle.top_height_agl_m
+
+    def _highest_ground(self, outline: FloatArray, what: str) -> float:
+        """Return the highest of the ground at a polygon's corners and on a grid inside it."""
+        west, south, east, north = _around(outline)
+        step = max(0.5 * self._terrain.spacing_m, max(east - west, north - south) / 200)
+        x, y = np.meshgrid(np.arange(west, east, step), np.arange(south, north, step))
+        inside = [
+            (a, b)
+            for a, b in zip(x.ravel().tolist(), y.ravel().tolist(), strict=True)
+            if kernels.polygon_distance(outline, 0, len(outline), a, b) < 0
+        ]
+        return max(self._terrain.ground_amsl_m(a, b, what) for a, b in [*outline.tolist(), *inside])
+
+    def _tower_tops(self) -> Towers | None:
+        inspection = self._mission.inspection
+        if inspection is None:
+            return None
+        tops = []
+        for i, tower in enumerate(inspection.towers):
+            what = _tower(i, tower)
+            x, y = self._xy(tower, what)
+            tops.append((x, y, self._terrain.ground_amsl_m(x, y, what) + tower.height_m))
+        return Towers(
+            names=tuple(tower.name for tower in inspection.towers),
+            top_m=np.array(tops),
+            weight=np.array([tower.weight for tower in inspection.towers], dtype=np.float64),
+            range_m=inspection.range_m,
+            share_min=inspection.share_min,
+        )
+
+    def _line_solids(self) -> list[Solid]:
+        """Return the towers as cylinders and, between neighbours, their conductors as cables from top to top."""
+        inspection, towers = self._mission.inspection, self._towers
+        if inspection is None or towers is None:
+            return []
+        masts = [
+            CylinderSolid(name, top[0], top[1], inspection.tower_radius_m, top[2])
+            for name, top in zip(towers.names, towers.top_m.tolist(), strict=True)
+        ]
+        spans = [
+            CableSolid(f"span {a}-{b}", start, end, inspection.conductor_radius_m)
+            for (a, b), (start, end) in zip(
+                itertools.pairwise(towers.names), itertools.pairwise(towers.top_m), strict=True
+            )
+        ]
+        return [*masts, *spans]
+
+    def _everything(self) -> SpaceArrays:
+        fence, top = np.zeros((0, 2)), math.inf
+        if self._mission.fence is not None:
+            fence = self._outline(self._mission.fence.polygon, "fence.polygon")
+            check_polygon(fence, "fence.polygon")
+            if self._mission.fence.top_alt_amsl_m is not None:
+                top = self._mission.fence.top_alt_amsl_m
+        return SpaceArrays(self._terrain.arrays, self._obstacles.arrays, fence, top, np.array(self._area))
+
+    # --- vehicles
+
+    def _task(self, index: int, vehicle: mission.Vehicle) -> VehicleTask:
+        limits = self._limits(vehicle)
+        margins = Margins.of(limits)
+        after = self._route_after_takeoff(index, vehicle)
+        home_what = _named(index, vehicle, "home" if vehicle.home is not None else "start")
+        home_place = vehicle.home or vehicle.start
+        assert home_place is not None
+        x, y = self._xy(home_place, home_what)
+        home = np.array([x, y, self._terrain.ground_amsl_m(x, y, home_what)])
+        straight_up = vehicle.vehicle_class == "copter"
+        if straight_up and vehicle.start is not None and _apart_across_m(home, after[0].position_m) <= _SAME_PLACE_M:
+            route = after
+        else:
+            top = self._takeoff_top(vehicle, limits, margins, home, after)
+            route = [_Spot(f"{home_what}, top of the take-off", top), *after]
+
+        for spot in route:
+            self._check_spot(spot, margins)
+        for this, following in itertools.pairwise(route):
+            if np.linalg.norm(following.position_m - this.position_m) < _SAME_PLACE_M:
+                raise MissionError(
+                    f"{following.what}: expected a place at least {_SAME_PLACE_M} m from the one before it, got that "
+                    f"of {this.what}: remove one"
+                )
+            self._check_no_void(this, following)
+        self._check_takeoff(home, route[0], margins, straight_up)
+        end = ending(vehicle)
+        if straight_up and end == "land":
+            self._check_landing(route[-1], margins)
+        return VehicleTask(
+            name=vehicle.name,
+            sysid=vehicle.sysid or index + 1,
+            home_m=home,
+            route_m=np.array([spot.position_m for spot in route]),
+            end=end,
+            limits=limits,
+            motion=motion_model(vehicle),
+        )
+
+    def _limits(self, vehicle: mission.Vehicle) -> VehicleLimits:
+        source, fence = self._mission.terrain, self._mission.fence
+        limits = vehicle_limits(vehicle, source.vertical_error_m if isinstance(source, mission.RasterTerrain) else 0.0)
+        if fence is None or fence.top_height_agl_m is None:
+            return limits
+        return replace(limits, height_agl_max_m=min(limits.height_agl_max_m, fence.top_height_agl_m))
+
+    def _route_after_takeoff(self, index: int, vehicle: mission.Vehicle) -> list[_Spot]:
+        points = [("start", vehicle.start)] if vehicle.start is not None else []
+        points += [(f"stops[{k}]", stop) for k, stop in enumerate(vehicle.stops)]
+        fields = [*points, ("goal", vehicle.goal)]
+        spots = [
+            _Spot(what := _named(index, vehicle, field), self._position(point, what))
+            for field, point in fields
+            if point
+        ]
+        return [*spots[:-1], *self._tower_stops(index, vehicle), spots[-1]]
+
+    def _tower_stops(self, index: int, vehicle: mission.Vehicle) -> Iterator[_Spot]:
+        inspection, towers = self._mission.inspection, self._towers
+        if vehicle.inspects is None or inspection is None or towers is None:
+            return
+        first, last = (towers.names.index(name) for name in (vehicle.inspects.first, vehicle.inspects.last))
+        for i in range(first, last + 1) if first <= last else range(first, last - 1, -1):
+            what = f"{_tower(i, inspection.towers[i])}, stop of {_named(index, vehicle)}"
+            yield _Spot(what, towers.top_m[i] + np.array([0.0, 0.0, inspection.standoff_m]))
+
+    def _takeoff_top(
+        self, vehicle: mission.Vehicle, limits: VehicleLimits, margins: Margins, home: FloatArray, after: list[_Spot]
+    ) -> FloatArray:
+        height = vehicle.takeoff_height_m
+        if height is None:
+            lowest = margins.height_agl_min_m
+            height = max(lowest, min(lowest + _TAKEOFF_ROOM_M, margins.height_agl_max_m))
+        x, y, z = home.tolist()
+        if vehicle.vehicle_class == "copter":
+            return np.array([x, y, z + height])
+        aims = [spot.position_m[:2] - home[:2] for spot in after]
+        aim = next((a for a in aims if np.linalg.norm(a) > _SAME_PLACE_M), np.array([0.0, 1.0]))
+        across = aim / np.linalg.norm(aim) * height / math.tan(limits.climb_angle_rad)
+        return np.array([x + across[0], y + across[1], z + height])
+
+    # --- checks of what is asked for
+
+    def _check_spot(self, spot: _Spot, margins: Margins) -> None:
+        x, y, z = spot.position_m.tolist()
+        ground = self._terrain.ground_amsl_m(x, y, spot.what)
+        height, lowest = z - ground, margins.height_agl_min_m
+        if height < lowest - _TOLERANCE_M:
+            got = f"{-height:.1f} m below it" if height < 0 else f"{height:.1f} m"
+            raise MissionError(
+                f"{spot.what}: expected at least {lowest:.1f} m above the ground (terrain margin and tracking error), "
+                f"got {got} (ground {ground:.1f} m, altitude {z:.1f} m AMSL): raise it by {lowest - height:.1f} m"
+            )
+        for what, value, most in (
+            ("m above the ground", height, margins.height_agl_max_m),
+            ("m AMSL", z, margins.alt_amsl_max_m),
+        ):
+            if value > most + _TOLERANCE_M:
+                raise MissionError(
+                    f"{spot.what}: expected at most {most:.1f} {what} (upper limit less tracking error), got "
+                    f"{value:.1f}: lower it by {value - most:.1f} m"
+                )
+        self._check_leg(spot.what, spot.position_m, spot.position_m, margins)
+
+    def _check_takeoff(self, home: FloatArray, top: _Spot, margins: Margins, straight_up: bool) -> None:
+        what = f"{top.what}, the climb to it from home"
+        self._check_leg(what, home, top.position_m, margins)
+        if straight_up:
+            return
+        # a plane cannot keep the margin before it has climbed to it: its share of the way, its share of the margin
+        share = np.linspace(0.0, 1.0, 101)[1:]
+        points = home + share[:, None] * (top.position_m - home)
+        missing = share * margins.height_agl_min_m - (
+            points[:, 2] - self._terrain.height_amsl_m(points[:, 0], points[:, 1])
+        )
+        if not missing.max() <= _TOLERANCE_M:
+            raise MissionError(
+                f"{what}: expected the ground to fall behind, got {np.nanmax(missing):.1f} m too little height along "
+                "the climb: move home, or lower takeoff_height_m"
+            )
+
+    def _check_landing(self, goal: _Spot, margins: Margins) -> None:
+        x, y, _ = goal.position_m.tolist()
+        ground = self._terrain.ground_amsl_m(x, y, goal.what)
+        self._check_leg(f"{goal.what}, the descent to the ground", goal.position_m, np.array([x, y, ground]), margins)
+
+    def _check_leg(self, what: str, start: FloatArray, end: FloatArray, margins: Margins) -> None:
+        """Check the distances from obstacles, fence and the area's edge along a leg (or at a point)."""
+        row = kernels.legs_clearance(self._space, np.array([[start, end]]), math.inf)[0]
+        distance, need = float(row[kernels.OBSTACLE]), margins.obstacle_m
+        if distance < need - _TOLERANCE_M:
+            name = self._obstacles.names[int(row[kernels.OBSTACLE_INDEX])]
+            got = f"{-distance:.1f} m inside it" if distance < 0 else f"{distance:.1f} m"
+            raise MissionError(
+                f"{what}: expected at least {need:.1f} m from obstacle {name} (safety.obstacle_m and tracking error), "
+                f"got {got}: move it {need - distance:.1f} m away"
+            )
+        inside, need = float(row[kernels.FENCE]), margins.fence_m
+        if inside < need - _TOLERANCE_M:
+            border = "fence" if self._mission.fence is not None else "area"
+            got = f"{-inside:.1f} m outside" if inside < 0 else f"{inside:.1f} m"
+            raise MissionError(
+                f"{what}: expected at least {need:.1f} m inside the {border} (safety.obstacle_m and tracking error), "
+                f"got {got}: move it, or widen the {border}"
+            )
+
+    def _check_no_void(self, start: _Spot, end: _Spot) -> None:
+        """Check that the ground is known below the straight way: what cannot be seen cannot be planned over."""
+        across_m = _apart_across_m(start.position_m, end.position_m)
+        share = np.linspace(0.0, 1.0, 2 + int(2 * across_m / self._terrain.spacing_m))
+        points = start.position_m + share[:, None] * (end.position_m - start.position_m)
+        x, y = points[:, 0], points[:, 1]
+        voids = np.isnan(self._terrain.height_amsl_m(x, y)) & self._terrain.reaches(x, y)
+        if voids.any():
+            at = self._frame.geo_point(points[int(np.argmax(voids))])
+            raise MissionError(
+                f"{end.what}: expected heights along the way to it, got voids of {self._terrain.description} for "
+                f"{across_m * voids.mean():.0f} m from {at.lat_deg:.5f}, {at.lon_deg:.5f}: fill them "
+                "(e.g. gdal_fillnodata)"
+            )
+
+    def _check_apart(self, tasks: Sequence[VehicleTask]) -> None:
+        vehicles, separation_m = self._mission.vehicles, self._mission.fleet.separation_m
+        together = self._mission.fleet.arrive_together
+
+        def check(i: int, j: int, field: str, distance: float, need: float) -> None:
+            if distance < max(need, 0.01) - _TOLERANCE_M:
+                got = "the same place" if distance < 0.01 else f"{distance:.1f} m"
+                raise MissionError(
+                    f"{_named(j, vehicles[j], field)}: expected at least {max(need, 0.01):g} m from the {field} of "
+                    f"{_named(i, vehicles[i])} (fleet.separation_m), got {got}: move one of them"
+                )
+
+        for (i, a), (j, b) in itertools.combinations(enumerate(tasks), 2):
+            starts = vehicles[i].start, vehicles[j].start
+            if starts[0] is not None and starts[1] is not None:
+                p, q = (self._position(s, "start") for s in starts if s is not None)
+                check(i, j, "start", float(np.linalg.norm(p - q)), 0.0)
+            check(i, j, "home", _apart_across_m(a.home_m, b.home_m), separation_m)
+            goal_a, goal_b = a.route_m[-1], b.route_m[-1]
+            if a.end == b.end == "land":
+                check(i, j, "goal", _apart_across_m(goal_a, goal_b), separation_m)
+            elif together or (a.end != "rtl" and b.end != "rtl"):
+                check(i, j, "goal", float(np.linalg.norm(goal_a - goal_b)), separation_m)
+
+
+def _named(index: int, vehicle: mission.Vehicle, field: str = "") -> str:
+    return f"vehicles[{index}]{'.' if field else ''}{field} ({vehicle.name})"
+
+
+def _tower(index: int, tower: mission.Tower) -> str:
+    return f"inspection.towers[{index}] ({tower.name})"
+
+
+def _obstacle(index: int, obstacle: mission.Obstacle) -> str:
+    return f"obstacles[{index}] ({obstacle.name})"
+
+
+def _around(places: Sequence[tuple[float, float]] | Iterator[tuple[float, float]] | FloatArray) -> Rectangle:
+    xy = np.array(list(places), dtype=np.float64)
+    west, south = xy.min(axis=0).tolist()
+    east, north = xy.max(axis=0).tolist()
+    return west, south, east, north
+
+
+def _clipped(ground: Terrain, needed: Rectangle, wanted: Rectangle) -> Rectangle:
+    """Return ``wanted`` with each side drawn back towards ``needed`` until the terrain reaches all along it."""
+    area = np.array(needed)
+    for side in range(4):
+        room = wanted[side] - needed[side]
+        low, high = 0.0, 2.0  # shares of the room; the first tried is all of it
+        for _ in range(32):
+            share = 0.5 * (low + high)
+            area[side] = needed[side] + min(share, 1.0) * room
+            if _edge_is_reached(ground, area, side):
+                low = share
+                if share >= 1.0:
+                    break
+            else:
+                high = share
+        area[side] = needed[side] + min(low, 1.0) * room
+    west, south, east, north = area.tolist()
+    return west, south, east, north
+
+
+def _edge_is_reached(ground: Terrain, area: FloatArray, side: int) -> bool:
+    along = np.linspace(area[1 - side % 2], area[3 - side % 2], 65)
+    across = np.full_like(along, area[side])
+    return bool(ground.reaches(*((along, across) if side % 2 else (across, along))).all())
+
+
+def _apart_across_m(a: FloatArray, b: FloatArray) -> float:
+    return float(math.hypot(a[0] - b[0], a[1] - b[1]))
+
+
+def _circle(x: float, y: float, radius_m: float) -> FloatArray:
+    angle = np.linspace(0.0, 2 * math.pi, 16, endpoint=False)
+    return np.stack([x + radius_m * np.cos(angle), y + radius_m * np.sin(angle)], axis=-1)
