@@ -1,0 +1,537 @@
+"""What differs between autopilots, as data: modes, the rules of mission transfer, what each stores of an item.
+
+Measured on ArduCopter 4.5.6, ArduPlane 4.5.6 and PX4 1.15 in SITL; where not measured, read in their sources
+(AP_Mission, GCS_MAVLink/MissionItemProtocol; PX4 mavlink_mission, Commander).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from enum import Enum, auto
+from types import MappingProxyType
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.mission_items import MissionItem
+from missionplanner.vehicle import Autopilot, MotionModel, VehicleClass
+
+
+class Behaviour(Enum):
+    """What a flight mode makes the vehicle do; nobody is at the sticks, so manual modes hold position in the air."""
+
+    HOLD = auto()
+    AUTO = auto()
+    GUIDED = auto()
+    TAKEOFF = auto()
+    RTL = auto()
+    LAND = auto()
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One flight mode: its name, its HEARTBEAT.custom_mode, what it does, and whether one may arm in it."""
+
+    name: str
+    custom_mode: int
+    behaviour: Behaviour
+    armable: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class TransferRules:
+    """How the vehicle's half of a mission upload behaves (https://mavlink.io/en/services/mission.html)."""
+
+    home_is_item_0: bool  # seq 0 is home whatever is sent
+    atomic: bool  # the old mission stays until the last item has come; else items replace the old ones one by one
+    int_requests: bool | None  # MISSION_REQUEST_INT always, never, or (None) once the peer has shown to know it
+    retry_s: float
+    give_up_s: float
+    give_up_ack: int | None
+    out_of_sequence_ack: int | None  # None: dropped in silence
+    second_uploader_ack: int
+    stray_item_ack: int | None
+    repeats_last_ack: bool  # an item already stored as the last is acknowledged again
+    partial_writes: bool
+    item_max: int
+    frames: frozenset[int]  # that an item with a position may have
+    commands: frozenset[int]
+
+
+@dataclass(frozen=True, slots=True)
+class Personality:
+    """One autopilot for one class of vehicle."""
+
+    autopilot: Autopilot
+    vehicle_class: VehicleClass
+    autopilot_id: int
+    type_id: int
+    modes: tuple[Mode, ...]
+    boot_mode: str
+    transfer: TransferRules
+    check: Callable[[MissionItem], int]  # MAV_MISSION_RESULT of one item
+    stored: Callable[[MissionItem], MissionItem]  # as it reads back
+    capabilities: int
+    software_version: int
+    integers_bytewise: bool  # PARAM_VALUE carries integers by their bytes (PX4), else converted to float
+    one_reached_slot: bool  # only the last of several items completed at one instant is reported
+    announces_items: bool  # STATUSTEXT for each item begun and each waypoint reached
+    start_arms: bool  # MISSION_START arms
+    takeoff_needs_flight_mode: bool  # NAV_TAKEOFF only in GUIDED (ArduPilot), else it switches mode itself (PX4)
+    speed_resets: bool  # DO_CHANGE_SPEED <= 0 restores the default (PX4), else it is ignored
+    speed_min_m_s: float  # smaller commanded speeds are ignored
+    idle_disarm_s: float
+    landed_disarm_s: float
+    cold_start_s: float  # from power-up until it can be armed
+    storage_ready_s: float  # from power-up until it takes a mission
+    refusal: int  # MAV_RESULT of a command that the vehicle is in no state to obey
+    armed_text: str
+    disarmed_text: str
+    not_ready_text: str
+    no_mission_text: str
+    speed_parameter: tuple[str, float]  # its name, and its unit in m/s
+    motion_parameters: Callable[[MotionModel], Mapping[str, int | float]]  # what shows the navigator's settings
+    parameters: Mapping[str, int | float]  # the others; integers are INT32, floats REAL32
+
+    def mode(self, name: str) -> Mode:
+        """Return the mode of that name; there must be one."""
+        return next(mode for mode in self.modes if mode.name == name)
+
+    def mode_for(self, behaviour: Behaviour) -> Mode:
+        """Return the first mode that behaves so."""
+        return next(mode for mode in self.modes if mode.behaviour is behaviour)
+
+
+NAV_COMMANDS = frozenset(
+    {
+        mavlink.MAV_CMD_NAV_WAYPOINT,
+        mavlink.MAV_CMD_NAV_LOITER_UNLIM,
+        mavlink.MAV_CMD_NAV_LOITER_TURNS,
+        mavlink.MAV_CMD_NAV_LOITER_TIME,
+        mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH,
+        mavlink.MAV_CMD_NAV_LAND,
+        mavlink.MAV_CMD_NAV_TAKEOFF,
+        mavlink.MAV_CMD_NAV_LOITER_TO_ALT,
+        mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT,
+        mavlink.MAV_CMD_NAV_VTOL_TAKEOFF,
+        mavlink.MAV_CMD_NAV_VTOL_LAND,
+        mavlink.MAV_CMD_NAV_DELAY,
+    }
+)
+"""Items flown one after the other; every other command of a mission acts at once and is passed over."""
+
+_POSITIONED = NAV_COMMANDS - {mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_NAV_DELAY} | {
+    mavlink.MAV_CMD_DO_SET_HOME,
+    mavlink.MAV_CMD_DO_SET_ROI,
+    mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
+    mavlink.MAV_CMD_DO_LAND_START,
+}
+
+FENCE_AND_RALLY_COMMANDS: Mapping[int, frozenset[int]] = MappingProxyType(
+    {
+        mavlink.MAV_MISSION_TYPE_FENCE: frozenset(
+            {
+                mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT,
+                mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+                mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION,
+                mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION,
+                mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION,
+            }
+        ),
+        mavlink.MAV_MISSION_TYPE_RALLY: frozenset({mavlink.MAV_CMD_NAV_RALLY_POINT}),
+    }
+)
+
+_COMMON_DO = frozenset(
+    {
+        mavlink.MAV_CMD_CONDITION_DELAY,
+        mavlink.MAV_CMD_CONDITION_DISTANCE,
+        mavlink.MAV_CMD_DO_JUMP,
+        mavlink.MAV_CMD_DO_CHANGE_SPEED,
+        mavlink.MAV_CMD_DO_SET_HOME,
+        mavlink.MAV_CMD_DO_SET_SERVO,
+        mavlink.MAV_CMD_DO_LAND_START,
+        mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
+        mavlink.MAV_CMD_DO_SET_ROI_NONE,
+        mavlink.MAV_CMD_DO_SET_ROI,
+        mavlink.MAV_CMD_DO_DIGICAM_CONTROL,
+        mavlink.MAV_CMD_DO_MOUNT_CONTROL,
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST,
+        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW,
+        mavlink.MAV_CMD_DO_GRIPPER,
+        mavlink.MAV_CMD_IMAGE_START_CAPTURE,
+        mavlink.MAV_CMD_IMAGE_STOP_CAPTURE,
+        mavlink.MAV_CMD_VIDEO_START_CAPTURE,
+        mavlink.MAV_CMD_VIDEO_STOP_CAPTURE,
+        mavlink.MAV_CMD_SET_CAMERA_ZOOM,
+        mavlink.MAV_CMD_SET_CAMERA_FOCUS,
+    }
+)
+_ARDUPILOT_COMMANDS = (
+    NAV_COMMANDS
+    | _COMMON_DO
+    | {
+        mavlink.MAV_CMD_NAV_CONTINUE_AND_CHANGE_ALT,
+        mavlink.MAV_CMD_NAV_GUIDED_ENABLE,
+        mavlink.MAV_CMD_NAV_ALTITUDE_WAIT,
+        mavlink.MAV_CMD_NAV_PAYLOAD_PLACE,
+        mavlink.MAV_CMD_CONDITION_YAW,
+        mavlink.MAV_CMD_DO_SET_RELAY,
+        mavlink.MAV_CMD_DO_REPEAT_SERVO,
+        mavlink.MAV_CMD_DO_REPEAT_RELAY,
+        mavlink.MAV_CMD_DO_SET_REVERSE,
+        mavlink.MAV_CMD_DO_DIGICAM_CONFIGURE,
+        mavlink.MAV_CMD_DO_FENCE_ENABLE,
+        mavlink.MAV_CMD_DO_PARACHUTE,
+        mavlink.MAV_CMD_DO_INVERTED_FLIGHT,
+        mavlink.MAV_CMD_DO_AUTOTUNE_ENABLE,
+        mavlink.MAV_CMD_DO_GUIDED_LIMITS,
+        mavlink.MAV_CMD_DO_ENGINE_CONTROL,
+        mavlink.MAV_CMD_JUMP_TAG,
+        mavlink.MAV_CMD_DO_JUMP_TAG,
+    }
+)
+_PX4_COMMANDS = (NAV_COMMANDS - {mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT, mavlink.MAV_CMD_NAV_LOITER_TURNS}) | (
+    _COMMON_DO
+    | {
+        mavlink.MAV_CMD_CONDITION_GATE,
+        mavlink.MAV_CMD_DO_SET_ACTUATOR,
+        mavlink.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET,
+        mavlink.MAV_CMD_DO_MOUNT_CONFIGURE,
+        mavlink.MAV_CMD_DO_TRIGGER_CONTROL,
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL,
+        mavlink.MAV_CMD_SET_CAMERA_MODE,
+        mavlink.MAV_CMD_SET_CAMERA_SOURCE,
+        mavlink.MAV_CMD_OBLIQUE_SURVEY,
+        mavlink.MAV_CMD_DO_VTOL_TRANSITION,
+        mavlink.MAV_CMD_DO_WINCH,
+    }
+)
+
+_ALT_MAX_M = 83_000.0
+_YAW_MAY_BE_NAN = frozenset(
+    {
+        mavlink.MAV_CMD_NAV_WAYPOINT,
+        mavlink.MAV_CMD_NAV_LAND,
+        mavlink.MAV_CMD_NAV_TAKEOFF,
+        mavlink.MAV_CMD_NAV_VTOL_TAKEOFF,
+        mavlink.MAV_CMD_NAV_VTOL_LAND,
+    }
+)
+
+
+def _check_ardupilot(item: MissionItem) -> int:
+    allowed_nan = {4} if item.command in _YAW_MAY_BE_NAN else set()
+    if item.command == mavlink.MAV_CMD_NAV_VTOL_LAND:
+        allowed_nan.add(3)
+    for number, value in enumerate((item.param1, item.param2, item.param3, item.param4), start=1):
+        if not math.isfinite(value) and not (math.isnan(value) and number in allowed_nan):
+            return int(mavlink.MAV_MISSION_INVALID_PARAM1) + number - 1
+    if not math.isfinite(item.z):
+        return int(mavlink.MAV_MISSION_INVALID_PARAM7)
+    return _check_place(item)
+
+
+def _check_px4(item: MissionItem) -> int:
+    if item.command == mavlink.MAV_CMD_DO_CHANGE_SPEED and item.frame != mavlink.MAV_FRAME_MISSION:
+        return int(mavlink.MAV_MISSION_UNSUPPORTED)
+    for number, value in enumerate((item.param1, item.param2, item.param3, item.param4), start=1):
+        if math.isinf(value) or (math.isnan(value) and item.command == mavlink.MAV_CMD_DO_JUMP):
+            return int(mavlink.MAV_MISSION_INVALID_PARAM1) + number - 1
+    return _check_place(item)
+
+
+def _check_place(item: MissionItem) -> int:
+    if item.command in _POSITIONED:
+        if abs(item.x) > 90 * 10**7:
+            return int(mavlink.MAV_MISSION_INVALID_PARAM5_X)
+        if abs(item.y) > 180 * 10**7:
+            return int(mavlink.MAV_MISSION_INVALID_PARAM6_Y)
+        if not abs(item.z) < _ALT_MAX_M:
+            return int(mavlink.MAV_MISSION_INVALID_PARAM7)
+    return int(mavlink.MAV_MISSION_ACCEPTED)
+
+
+def _stored_by_ardupilot(item: MissionItem) -> MissionItem:
+    """Return what AP_Mission's packed storage keeps of an item: see AP_Mission::mavlink_int_to_mission_cmd."""
+    if item.command not in _POSITIONED:
+        kept = item if item.command not in (mavlink.MAV_CMD_DO_CHANGE_SPEED,) else replace(item, param4=0.0)
+        return replace(kept, frame=mavlink.MAV_FRAME_GLOBAL, x=0, y=0, z=0.0)
+    frame = {
+        mavlink.MAV_FRAME_MISSION: mavlink.MAV_FRAME_GLOBAL,
+        mavlink.MAV_FRAME_GLOBAL_INT: mavlink.MAV_FRAME_GLOBAL,
+        mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT,
+        mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT: mavlink.MAV_FRAME_GLOBAL_TERRAIN_ALT,
+    }.get(item.frame, item.frame)
+    # altitudes are whole centimetres, truncated from float32
+    alt_cm = int(np.float32(item.z) * np.float32(100.0))
+    item = replace(item, frame=int(frame), z=float(np.float32(alt_cm) * np.float32(0.01)))
+    match item.command:
+        case mavlink.MAV_CMD_NAV_WAYPOINT:
+            return replace(item, param1=_whole(item.param1), param2=0.0, param3=0.0, param4=0.0)
+        case mavlink.MAV_CMD_NAV_LAND:
+            return replace(item, param1=_whole(item.param1), param2=0.0, param3=0.0, param4=1.0)
+        case mavlink.MAV_CMD_NAV_TAKEOFF:
+            return replace(item, param1=_whole(item.param1), param2=0.0, param3=0.0, param4=0.0)
+        case _:
+            return item
+
+
+def _whole(value: float) -> float:
+    """Return a parameter as a 16-bit field keeps it."""
+    return 0.0 if math.isnan(value) else float(min(max(int(value), 0), 65535))
+
+
+def _stored_by_px4(item: MissionItem) -> MissionItem:
+    """Return what PX4's mission_item_s keeps: the *_INT frames are their plain forms."""
+    frame = {5: 0, 6: 3}.get(item.frame, item.frame)
+    return replace(item, frame=frame)
+
+
+_ARDUPILOT_TRANSFER = TransferRules(
+    home_is_item_0=True,
+    atomic=False,
+    int_requests=False,
+    retry_s=1.0,
+    give_up_s=8.0,
+    give_up_ack=mavlink.MAV_MISSION_OPERATION_CANCELLED,
+    out_of_sequence_ack=mavlink.MAV_MISSION_INVALID_SEQUENCE,
+    second_uploader_ack=mavlink.MAV_MISSION_DENIED,
+    stray_item_ack=mavlink.MAV_MISSION_ERROR,
+    repeats_last_ack=False,
+    partial_writes=True,
+    item_max=650,
+    frames=frozenset({0, 2, 3, 5, 6, 10, 11}),
+    commands=_ARDUPILOT_COMMANDS,
+)
+_PX4_TRANSFER = TransferRules(
+    home_is_item_0=False,
+    atomic=True,
+    int_requests=None,
+    retry_s=0.25,
+    give_up_s=5.0,
+    give_up_ack=None,
+    out_of_sequence_ack=None,
+    second_uploader_ack=mavlink.MAV_MISSION_ERROR,
+    stray_item_ack=None,
+    repeats_last_ack=True,
+    partial_writes=False,
+    item_max=2000,
+    frames=frozenset({0, 2, 3, 5, 6}),
+    commands=_PX4_COMMANDS,
+)
+
+_COPTER_MODES = (
+    Mode("STABILIZE", 0, Behaviour.HOLD),
+    Mode("ACRO", 1, Behaviour.HOLD),
+    Mode("ALT_HOLD", 2, Behaviour.HOLD),
+    Mode("AUTO", 3, Behaviour.AUTO, armable=False),
+    Mode("GUIDED", 4, Behaviour.GUIDED),
+    Mode("LOITER", 5, Behaviour.HOLD),
+    Mode("RTL", 6, Behaviour.RTL, armable=False),
+    Mode("CIRCLE", 7, Behaviour.HOLD, armable=False),
+    Mode("LAND", 9, Behaviour.LAND, armable=False),
+    Mode("POSHOLD", 16, Behaviour.HOLD),
+    Mode("BRAKE", 17, Behaviour.HOLD, armable=False),
+    Mode("SMART_RTL", 21, Behaviour.RTL, armable=False),
+)
+_PLANE_MODES = (
+    Mode("MANUAL", 0, Behaviour.HOLD),
+    Mode("CIRCLE", 1, Behaviour.HOLD, armable=False),
+    Mode("STABILIZE", 2, Behaviour.HOLD),
+    Mode("FBWA", 5, Behaviour.HOLD),
+    Mode("FBWB", 6, Behaviour.HOLD),
+    Mode("CRUISE", 7, Behaviour.HOLD),
+    Mode("AUTO", 10, Behaviour.AUTO),
+    Mode("RTL", 11, Behaviour.RTL, armable=False),
+    Mode("LOITER", 12, Behaviour.HOLD),
+    Mode("TAKEOFF", 13, Behaviour.TAKEOFF),
+    Mode("GUIDED", 15, Behaviour.GUIDED),
+)
+
+
+def _px4_mode(main: int, sub: int = 0) -> int:
+    return main << 16 | sub << 24
+
+
+_PX4_MODES = (
+    Mode("LOITER", _px4_mode(4, 3), Behaviour.HOLD),
+    Mode("MANUAL", _px4_mode(1), Behaviour.HOLD),
+    Mode("ALTCTL", _px4_mode(2), Behaviour.HOLD),
+    Mode("POSCTL", _px4_mode(3), Behaviour.HOLD),
+    Mode("TAKEOFF", _px4_mode(4, 2), Behaviour.TAKEOFF),
+    Mode("MISSION", _px4_mode(4, 4), Behaviour.AUTO),
+    Mode("RTL", _px4_mode(4, 5), Behaviour.RTL),
+    Mode("LAND", _px4_mode(4, 6), Behaviour.LAND, armable=False),
+    Mode("ACRO", _px4_mode(5), Behaviour.HOLD),
+    Mode("OFFBOARD", _px4_mode(6), Behaviour.GUIDED),
+    Mode("STABILIZED", _px4_mode(7), Behaviour.HOLD),
+)
+
+_COMMON_CAPABILITIES = (
+    mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FLOAT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_COMMAND_INT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_FENCE
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_RALLY
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
+    | mavlink.MAV_PROTOCOL_CAPABILITY_SET_POSITION_TARGET_GLOBAL_INT
+)
+_ARDUPILOT_CAPABILITIES = _COMMON_CAPABILITIES | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_C_CAST
+_PX4_CAPABILITIES = _COMMON_CAPABILITIES | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
+_RELEASE = 255  # FIRMWARE_VERSION_TYPE_OFFICIAL
+
+
+def _copter_parameters(motion: MotionModel) -> Mapping[str, int | float]:
+    return {
+        "WPNAV_SPEED": 1000.0,
+        "WPNAV_SPEED_UP": 100.0 * motion.climb_rate_m_s,
+        "WPNAV_SPEED_DN": 100.0 * motion.descent_rate_m_s,
+        "WPNAV_ACCEL": 100.0 * motion.acceleration_m_s2,
+        "WPNAV_JERK": motion.jerk_m_s3,
+        "WPNAV_RADIUS": 100.0 * motion.waypoint_radius_m,
+        "ANGLE_MAX": 3000,
+        "LAND_SPEED": 50,
+    }
+
+
+def _plane_parameters(motion: MotionModel) -> Mapping[str, int | float]:
+    return {
+        "AIRSPEED_CRUISE": 22.0,
+        "AIRSPEED_MIN": 9.0,
+        "AIRSPEED_MAX": 30.0,
+        "WP_RADIUS": motion.waypoint_radius_m,
+        "TECS_CLMB_MAX": motion.climb_rate_m_s,
+        "TECS_SINK_MAX": motion.descent_rate_m_s,
+    }
+
+
+def _px4_copter_parameters(motion: MotionModel) -> Mapping[str, int | float]:
+    return {
+        "MPC_XY_CRUISE": 5.0,
+        "MPC_XY_VEL_MAX": 12.0,
+        "MPC_ACC_HOR": motion.acceleration_m_s2,
+        "MPC_JERK_AUTO": motion.jerk_m_s3,
+        "MPC_Z_V_AUTO_UP": motion.climb_rate_m_s,
+        "MPC_Z_V_AUTO_DN": motion.descent_rate_m_s,
+        "NAV_ACC_RAD": motion.waypoint_radius_m,
+    }
+
+
+def _px4_plane_parameters(motion: MotionModel) -> Mapping[str, int | float]:
+    return {
+        "FW_AIRSPD_TRIM": 15.0,
+        "FW_AIRSPD_MIN": 10.0,
+        "FW_AIRSPD_MAX": 20.0,
+        "FW_T_CLMB_MAX": motion.climb_rate_m_s,
+        "FW_T_SINK_MAX": motion.descent_rate_m_s,
+        "NAV_ACC_RAD": motion.waypoint_radius_m,
+    }
+
+
+_ARDUCOPTER = Personality(
+    autopilot="ardupilot",
+    vehicle_class="copter",
+    autopilot_id=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
+    type_id=mavlink.MAV_TYPE_QUADROTOR,
+    modes=_COPTER_MODES,
+    boot_mode="STABILIZE",
+    transfer=_ARDUPILOT_TRANSFER,
+    check=_check_ardupilot,
+    stored=_stored_by_ardupilot,
+    capabilities=_ARDUPILOT_CAPABILITIES,
+    software_version=4 << 24 | 5 << 16 | 6 << 8 | _RELEASE,
+    integers_bytewise=False,
+    one_reached_slot=True,
+    announces_items=True,
+    start_arms=False,
+    takeoff_needs_flight_mode=True,
+    speed_resets=False,
+    speed_min_m_s=0.2,
+    idle_disarm_s=10.0,
+    landed_disarm_s=0.0,
+    cold_start_s=42.0,
+    storage_ready_s=7.0,
+    refusal=mavlink.MAV_RESULT_FAILED,
+    armed_text="Arming motors",
+    disarmed_text="Disarming motors",
+    not_ready_text="Arm: Need Position Estimate",
+    no_mission_text="Mode change to AUTO failed: init failed",
+    speed_parameter=("WPNAV_SPEED", 0.01),
+    motion_parameters=_copter_parameters,
+    # AUTO_OPTIONS 2: a simulated pilot has no throttle stick to raise before a take-off in AUTO
+    parameters=MappingProxyType(
+        {"AUTO_OPTIONS": 2, "DISARM_DELAY": 10, "MIS_RESTART": 0, "RTL_ALT": 1500, "RTL_LOIT_TIME": 5000}
+    ),
+)
+_ARDUPLANE = replace(
+    _ARDUCOPTER,
+    vehicle_class="plane",
+    type_id=mavlink.MAV_TYPE_FIXED_WING,
+    modes=_PLANE_MODES,
+    boot_mode="MANUAL",
+    idle_disarm_s=math.inf,
+    landed_disarm_s=20.0,
+    cold_start_s=23.0,
+    speed_parameter=("AIRSPEED_CRUISE", 1.0),
+    motion_parameters=_plane_parameters,
+    parameters=MappingProxyType({"MIS_RESTART": 0, "RTL_ALTITUDE": 100.0, "WP_LOITER_RAD": 60}),
+)
+_PX4_COPTER = Personality(
+    autopilot="px4",
+    vehicle_class="copter",
+    autopilot_id=mavlink.MAV_AUTOPILOT_PX4,
+    type_id=mavlink.MAV_TYPE_QUADROTOR,
+    modes=_PX4_MODES,
+    boot_mode="LOITER",
+    transfer=_PX4_TRANSFER,
+    check=_check_px4,
+    stored=_stored_by_px4,
+    capabilities=_PX4_CAPABILITIES,
+    software_version=1 << 24 | 15 << 16 | 0 << 8 | _RELEASE,
+    integers_bytewise=True,
+    one_reached_slot=False,
+    announces_items=False,
+    start_arms=True,
+    takeoff_needs_flight_mode=False,
+    speed_resets=True,
+    speed_min_m_s=0.0,
+    idle_disarm_s=10.0,
+    landed_disarm_s=0.0,
+    cold_start_s=10.0,
+    storage_ready_s=0.0,
+    refusal=mavlink.MAV_RESULT_TEMPORARILY_REJECTED,
+    armed_text="",
+    disarmed_text="",
+    not_ready_text="Arming denied: Resolve system health failures first",
+    no_mission_text="Mission rejected: no valid mission",
+    speed_parameter=("MPC_XY_CRUISE", 1.0),
+    motion_parameters=_px4_copter_parameters,
+    parameters=MappingProxyType(
+        {
+            "COM_DISARM_LAND": 2.0,
+            "COM_DISARM_PRFLT": 10.0,
+            "MIS_TAKEOFF_ALT": 2.5,
+            "MIS_DIST_1WP": 10_000.0,
+            "RTL_DESCEND_ALT": 30.0,
+            "RTL_RETURN_ALT": 60.0,
+            "NAV_RCL_ACT": 2,
+        }
+    ),
+)
+_PX4_PLANE = replace(
+    _PX4_COPTER,
+    vehicle_class="plane",
+    type_id=mavlink.MAV_TYPE_FIXED_WING,
+    speed_parameter=("FW_AIRSPD_TRIM", 1.0),
+    motion_parameters=_px4_plane_parameters,
+)
+
+_PERSONALITIES = {(p.autopilot, p.vehicle_class): p for p in (_ARDUCOPTER, _ARDUPLANE, _PX4_COPTER, _PX4_PLANE)}
+
+
+def personality(autopilot: Autopilot, vehicle_class: VehicleClass) -> Personality:
+    """Return the personality of an autopilot that steers a class of vehicle."""
+    return _PERSONALITIES[autopilot, vehicle_class]
