@@ -17,13 +17,23 @@ from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
 
+kernel = njit(cache=True, error_model="numpy")  # divisions by zero are guarded where they can occur
+
 CYLINDER, CONE, RADAR, MARINE, PRISM, CABLE = range(6)
 
 # Columns of `legs_clearance`; "AT" is the place on the leg, from 0 at its first to 1 at its second point.
 HEIGHT_MIN, HEIGHT_MIN_AT, HEIGHT_MAX, OBSTACLE, OBSTACLE_AT, OBSTACLE_INDEX, FENCE, FENCE_AT = range(8)
 CLEARANCE_COLUMNS = 8
 
+# Columns of `price_paths`: what is traded off, then what is forbidden.
+VOYAGE, SMOOTH, INSPECTION, RADAR_ZONE, ATMOSPHERE, CLIMB = range(6)
+TERRAIN, CEILING, OBSTACLES, COLLISION, OCEAN, FENCED, FELLOWS, CLIMB_ANGLE, TURN = range(6, 15)
+PRICE_COLUMNS = 15
+BLOCK = 8  # samples
+
 _FAR_M = 1e12
+_MISSING_TERRAIN_M = 100.0
+"""Depth below the least height where terrain is missing; outside its coverage, the way back to it is added."""
 _GOLDEN = 0.3819660112501051
 _CLEARANCE_TOLERANCE_M = 1e-4
 
@@ -48,7 +58,7 @@ class ObstacleArrays(NamedTuple):
 
     kind: npt.NDArray[np.int64]  # (O,)
     params: FloatArray  # (O, 8)
-    bound: FloatArray  # (O, 3): x, y, radius of a horizontal circle around the solid
+    bound: FloatArray  # (O, 5): x, y, radius of a horizontal circle around the solid; lowest and highest z
     hard: npt.NDArray[np.bool_]  # (O,)
     vertices: FloatArray  # (V, 2), of all prisms
     vertex_start: npt.NDArray[np.int64]  # (O + 1,): solid i owns vertices[vertex_start[i]:vertex_start[i + 1]]
@@ -67,7 +77,7 @@ class SpaceArrays(NamedTuple):
 # --- terrain -------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def cell_position(t: TerrainArrays, x: float, y: float) -> tuple[float, float]:
     """Return the (fractional) row and column of a place."""
     u = x * 1e-4
@@ -86,7 +96,7 @@ def cell_position(t: TerrainArrays, x: float, y: float) -> tuple[float, float]:
     return row, col
 
 
-@njit(cache=True)
+@kernel
 def _keys(t: float) -> tuple[float, float, float, float]:
     """Weights of the four neighbours in cubic convolution (Keys 1981, a = -1/2)."""
     return (
@@ -97,7 +107,7 @@ def _keys(t: float) -> tuple[float, float, float, float]:
     )
 
 
-@njit(cache=True)
+@kernel
 def _surface(h: npt.NDArray[np.float32], row: float, col: float) -> float:
     if not (1.0 <= row < h.shape[0] - 2 and 1.0 <= col < h.shape[1] - 2):
         return np.nan
@@ -114,14 +124,14 @@ def _surface(h: npt.NDArray[np.float32], row: float, col: float) -> float:
     return height
 
 
-@njit(cache=True)
+@kernel
 def terrain_height(t: TerrainArrays, x: float, y: float) -> float:
     """Return the ground's altitude AMSL by bicubic convolution; NaN where any of the 16 neighbours is missing."""
     row, col = cell_position(t, x, y)
     return _surface(t.height_amsl_m, row, col)
 
 
-@njit(cache=True)
+@kernel
 def terrain_heights(t: TerrainArrays, xy: FloatArray) -> FloatArray:
     """Return the ground's altitudes (N,) at places (N, 2)."""
     out = np.empty(xy.shape[0])
@@ -133,7 +143,7 @@ def terrain_heights(t: TerrainArrays, xy: FloatArray) -> FloatArray:
 # --- solids --------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def polygon_distance(vertices: FloatArray, start: int, stop: int, x: float, y: float) -> float:
     """Return the signed distance (negative inside) to the simple polygon ``vertices[start:stop]``."""
     least = _FAR_M * _FAR_M
@@ -161,7 +171,7 @@ def polygon_distance(vertices: FloatArray, start: int, stop: int, x: float, y: f
     return -d if inside else d
 
 
-@njit(cache=True)
+@kernel
 def _extruded(across: float, along: float) -> float:
     """Signed distance to a prism from those to its outline and to its slab of heights."""
     if across <= 0.0:
@@ -169,7 +179,7 @@ def _extruded(across: float, along: float) -> float:
     return math.sqrt(across * across + along * along) if along > 0.0 else across
 
 
-@njit(cache=True)
+@kernel
 def _cone(rho: float, up: float, radius: float, height: float) -> float:
     """Signed distance to a cone standing on up = 0, at ``rho`` from its axis."""
     s = ((rho - radius) * -radius + up * height) / (radius * radius + height * height)
@@ -183,7 +193,7 @@ def _cone(rho: float, up: float, radius: float, height: float) -> float:
     return min(slant, math.sqrt(over * over + up * up))
 
 
-@njit(cache=True)
+@kernel
 def obstacle_distance(o: ObstacleArrays, i: int, x: float, y: float, z: float) -> float:
     """Return the exact signed distance from a point to solid ``i``, negative inside; 1-Lipschitz."""
     p = o.params
@@ -216,7 +226,7 @@ def obstacle_distance(o: ObstacleArrays, i: int, x: float, y: float, z: float) -
     return math.sqrt(rho2 + dz * dz) - sphere_radius
 
 
-@njit(cache=True)
+@kernel
 def obstacle_distances(o: ObstacleArrays, points: FloatArray) -> FloatArray:
     """Return signed distances (N, O) from points (N, 3) to every solid."""
     out = np.empty((points.shape[0], o.kind.shape[0]))
@@ -226,7 +236,7 @@ def obstacle_distances(o: ObstacleArrays, points: FloatArray) -> FloatArray:
     return out
 
 
-@njit(cache=True)
+@kernel
 def inside_distance(space: SpaceArrays, x: float, y: float, z: float) -> float:
     """Return how far a point is inside area and fence (polygon and top), negative outside; 1-Lipschitz."""
     area = space.area
@@ -240,7 +250,7 @@ def inside_distance(space: SpaceArrays, x: float, y: float, z: float) -> float:
 # --- straight legs -------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@kernel
 def _on_leg(o: ObstacleArrays, i: int, leg: FloatArray, s: float) -> float:
     return obstacle_distance(
         o,
@@ -251,7 +261,7 @@ def _on_leg(o: ObstacleArrays, i: int, leg: FloatArray, s: float) -> float:
     )
 
 
-@njit(cache=True)
+@kernel
 def _least_convex(
     o: ObstacleArrays, i: int, leg: FloatArray, length: float, enough: float, refuse: float
 ) -> tuple[float, float]:
@@ -301,7 +311,7 @@ def _least_convex(
     return min(lower, least), at
 
 
-@njit(cache=True)
+@kernel
 def _least_lipschitz(
     o: ObstacleArrays, i: int, leg: FloatArray, length: float, enough: float, refuse: float
 ) -> tuple[float, float]:
@@ -323,7 +333,7 @@ def _least_lipschitz(
     return min(lower, least), at
 
 
-@njit(cache=True)
+@kernel
 def _leg_obstacle(o: ObstacleArrays, leg: FloatArray, enough: float, refuse: float) -> tuple[float, float, int]:
     """Lower bound of the distance to the nearest hard solid (at most ``enough``), where on the leg, and which one."""
     ax = leg[0, 0]
@@ -333,6 +343,8 @@ def _leg_obstacle(o: ObstacleArrays, leg: FloatArray, enough: float, refuse: flo
     ez = leg[1, 2] - leg[0, 2]
     ee = ex * ex + ey * ey
     length = math.sqrt(ee + ez * ez)
+    low = min(leg[0, 2], leg[1, 2])
+    high = max(leg[0, 2], leg[1, 2])
     best = enough
     best_at = 0.0
     best_index = -1
@@ -347,6 +359,8 @@ def _leg_obstacle(o: ObstacleArrays, leg: FloatArray, enough: float, refuse: flo
         reach = best + o.bound[i, 2]
         if reach < 0.0 or wx * wx + wy * wy >= reach * reach:
             continue
+        if low - o.bound[i, 4] >= best or o.bound[i, 3] - high >= best:
+            continue
         if o.kind[i] == PRISM and o.params[i, 2] == 0.0:
             d, at = _least_lipschitz(o, i, leg, length, best, refuse)
         else:
@@ -358,7 +372,7 @@ def _leg_obstacle(o: ObstacleArrays, leg: FloatArray, enough: float, refuse: flo
     return best, best_at, best_index
 
 
-@njit(cache=True)
+@kernel
 def _leg_inside(space: SpaceArrays, leg: FloatArray, enough: float, refuse: float) -> tuple[float, float]:
     """Lower bound of the distance inside area and fence along a leg (at most ``enough``), and where."""
     d0 = inside_distance(space, leg[0, 0], leg[0, 1], leg[0, 2])
@@ -387,7 +401,7 @@ def _leg_inside(space: SpaceArrays, leg: FloatArray, enough: float, refuse: floa
     return min(enough, lower, least), at
 
 
-@njit(cache=True)
+@kernel
 def leg_clearance(space: SpaceArrays, leg: FloatArray, step_m: float, out: FloatArray) -> None:
     """Write one row of :func:`legs_clearance` for one leg (2, 3)."""
     ex = leg[1, 0] - leg[0, 0]
@@ -415,7 +429,7 @@ def leg_clearance(space: SpaceArrays, leg: FloatArray, step_m: float, out: Float
     out[FENCE], out[FENCE_AT] = _leg_inside(space, leg, _FAR_M, -np.inf)
 
 
-@njit(cache=True)
+@kernel
 def legs_clearance(space: SpaceArrays, legs: FloatArray, step_m: float) -> FloatArray:
     """Return what each straight leg keeps clear of, (N, CLEARANCE_COLUMNS), for legs (N, 2, 3).
 
@@ -429,7 +443,7 @@ def legs_clearance(space: SpaceArrays, legs: FloatArray, step_m: float) -> Float
     return out
 
 
-@njit(cache=True)
+@kernel
 def leg_is_clear(
     space: SpaceArrays,
     leg: FloatArray,
@@ -459,7 +473,7 @@ def leg_is_clear(
     return True
 
 
-@njit(cache=True)
+@kernel
 def legs_are_clear(
     space: SpaceArrays,
     legs: FloatArray,
@@ -477,3 +491,463 @@ def legs_are_clear(
             space, legs[n], step_m, height_min_m, height_max_m, alt_max_m, obstacle_min_m, fence_min_m
         )
     return out
+
+
+# --- the price of paths --------------------------------------------------------------------------------------------
+
+
+class PriceSettings(NamedTuple):
+    """What the price measures against; all floats, so that one compiled kernel serves all."""
+
+    route_length_m: float
+    height_min_m: float
+    height_max_m: float
+    alt_max_m: float
+    obstacle_m: float
+    fence_m: float
+    climb_slope: float
+    descent_slope: float
+    turn_radius_m: float
+    turn_angle_rad: float
+    separation_m: float
+    tower_range_m: float
+    cell_m: float  # of the terrain grid
+
+
+@kernel
+def _shape_terms(path: FloatArray, q: PriceSettings, hop: FloatArray, out: FloatArray) -> None:
+    """Length, bending, climbing and turning; ``hop`` (S - 1,) receives the lengths between samples."""
+    length = 0.0
+    bending = 0.0
+    squared_altitude = 0.0
+    gained = 0.0
+    steep = 0.0
+    turned = 0.0
+    turn_is_limited = q.turn_radius_m > 0.0 or q.turn_angle_rad < math.pi
+    ux = uy = uz = before = level_before = 0.0
+    for k in range(hop.shape[0]):
+        dx = path[k + 1, 0] - path[k, 0]
+        dy = path[k + 1, 1] - path[k, 1]
+        dz = path[k + 1, 2] - path[k, 2]
+        level2 = dx * dx + dy * dy
+        h = math.sqrt(level2 + dz * dz)
+        level = math.sqrt(level2)
+        hop[k] = h
+        length += h
+        squared_altitude += 0.5 * h * (path[k, 2] * path[k, 2] + path[k + 1, 2] * path[k + 1, 2])
+        gained += max(0.0, dz)
+        steep += max(0.0, dz - q.climb_slope * level, -dz - q.descent_slope * level)
+        if h == 0.0:
+            continue
+        vx = dx / h
+        vy = dy / h
+        vz = dz / h
+        if before > 0.0:
+            bx = vx - ux
+            by = vy - uy
+            bz = vz - uz
+            bending += (bx * bx + by * by + bz * bz) / (0.5 * (before + h))
+            if turn_is_limited:
+                turn = math.atan2(abs(ux * vy - uy * vx), ux * vx + uy * vy)
+                allowed = q.turn_angle_rad
+                if q.turn_radius_m > 0.0:
+                    allowed = min(allowed, 0.5 * (level_before + level) / q.turn_radius_m)
+                turned += max(0.0, turn - allowed)
+        ux = vx
+        uy = vy
+        uz = vz
+        before = h
+        level_before = level
+    out[VOYAGE] = length / q.route_length_m
+    out[SMOOTH] = bending * q.route_length_m
+    out[ATMOSPHERE] = squared_altitude * 1e-6 / q.route_length_m
+    out[CLIMB] = gained / q.route_length_m
+    out[CLIMB_ANGLE] = steep / q.route_length_m
+    out[TURN] = turned / math.pi
+
+
+@kernel
+def _heights(t: TerrainArrays, q: PriceSettings, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Depth below the least height, excess over the ceilings, and how far from the nearer of both (negative: past)."""
+    row, col = cell_position(t, x, y)
+    h = t.height_amsl_m
+    height = z - _surface(h, row, col)
+    over = max(0.0, z - q.alt_max_m)
+    if math.isnan(height):
+        rows_out = max(0.0, 1.0 - row, row - (h.shape[0] - 2))
+        cols_out = max(0.0, 1.0 - col, col - (h.shape[1] - 2))
+        out_m = q.cell_m * math.sqrt(rows_out * rows_out + cols_out * cols_out)
+        return _MISSING_TERRAIN_M + out_m, over, -np.inf
+    return (
+        max(0.0, q.height_min_m - height),
+        max(over, height - q.height_max_m),
+        min(height - q.height_min_m, q.height_max_m - height),
+    )
+
+
+@kernel
+def _height_terms(path: FloatArray, t: TerrainArrays, q: PriceSettings, hop: FloatArray, out: FloatArray) -> None:
+    """Height band, integrated; pieces near its limits are sampled twice per terrain cell.
+
+    "Near" means that ground steeper than two in one would be needed to cross a limit between the samples unseen.
+    """
+    under = 0.0
+    over = 0.0
+    low, high, slack = _heights(t, q, path[0, 0], path[0, 1], path[0, 2])
+    for k in range(hop.shape[0]):
+        next_low, next_high, next_slack = _heights(t, q, path[k + 1, 0], path[k + 1, 1], path[k + 1, 2])
+        sum_low = 0.5 * (low + next_low)
+        sum_high = 0.5 * (high + next_high)
+        piece = hop[k]
+        if slack + next_slack < 2.0 * hop[k]:
+            pieces = max(1, math.ceil(2.0 * hop[k] / q.cell_m))
+            for j in range(1, pieces):
+                s = j / pieces
+                below, above, _ = _heights(
+                    t,
+                    q,
+                    path[k, 0] + s * (path[k + 1, 0] - path[k, 0]),
+                    path[k, 1] + s * (path[k + 1, 1] - path[k, 1]),
+                    path[k, 2] + s * (path[k + 1, 2] - path[k, 2]),
+                )
+                sum_low += below
+                sum_high += above
+            piece = hop[k] / pieces
+        under += sum_low * piece
+        over += sum_high * piece
+        low = next_low
+        high = next_high
+        slack = next_slack
+    scale = max(1.0, q.height_min_m) * q.route_length_m
+    out[TERRAIN] = under / scale
+    out[CEILING] = over / scale
+
+
+@kernel
+def hiding_step(reach: float) -> float:
+    """Return the spacing of samples between which nothing deeper than 0.1 m can hide.
+
+    Whatever is closer than ``reach`` to something is a union of balls of that radius; a chord c of a ball of radius r
+    lies at most about c^2 / (8 r) deep.
+    """
+    return max(0.5, math.sqrt(0.8 * reach))
+
+
+@kernel
+def _pieces(hop: float, step: float) -> int:
+    return max(1, math.ceil(hop / step))
+
+
+@kernel
+def _slack(space: SpaceArrays, i: int, reach: float, step: float, x: float, y: float, z: float) -> float:
+    """How far a point is beyond ``reach`` of solid ``i`` (far off: at least how far); of the fence for i = -1."""
+    if i < 0:
+        return inside_distance(space, x, y, z) - reach
+    o = space.obstacles
+    dx = x - o.bound[i, 0]
+    dy = y - o.bound[i, 1]
+    outer: float = o.bound[i, 2] + reach
+    rho2 = dx * dx + dy * dy
+    if rho2 > (outer + step) * (outer + step):
+        return math.sqrt(rho2) - outer
+    return obstacle_distance(o, i, x, y, z) - reach
+
+
+@kernel
+def _depth_integral(
+    path: FloatArray,
+    hop: FloatArray,
+    first: int,
+    last: int,
+    space: SpaceArrays,
+    i: int,
+    reach: float,
+    step: float,
+    squared: bool,
+) -> float:
+    """Integral from sample ``first`` to ``last`` of the depth (or its square) within ``reach`` of solid ``i``.
+
+    The trapezoidal rule on pieces of at most ``step``, exactly, though most points are never looked at: a distance of
+    d beyond reach means no depth for the next d metres of path. For i = -1, depth into the margin of fence and area.
+    """
+    total = 0.0
+    before = 0.0  # length of the piece before the point
+    skip = 0.0  # metres of path without depth, from sample k on
+    k = first
+    while k < last:
+        if skip >= hop[k]:
+            skip -= hop[k]
+            before = -1.0
+            k += 1
+            continue
+        pieces = _pieces(hop[k], step)
+        piece = hop[k] / pieces
+        j = int(skip / piece)
+        if j > 0:
+            before = piece
+        elif before < 0.0:
+            before = hop[k - 1] / _pieces(hop[k - 1], step)
+        while j < pieces:
+            s = j / pieces
+            slack = _slack(
+                space,
+                i,
+                reach,
+                step,
+                path[k, 0] + s * (path[k + 1, 0] - path[k, 0]),
+                path[k, 1] + s * (path[k + 1, 1] - path[k, 1]),
+                path[k, 2] + s * (path[k + 1, 2] - path[k, 2]),
+            )
+            if slack > 0.0:
+                skip = slack - (pieces - j) * piece
+                j += max(1, int(min(slack, hop[k]) / piece))
+            else:
+                total += 0.5 * (before + piece) * (slack * slack if squared else -slack)
+                skip = 0.0
+                j += 1
+            before = piece
+        skip = max(0.0, skip)
+        k += 1
+    if skip <= 0.0:
+        slack = min(0.0, _slack(space, i, reach, step, path[last, 0], path[last, 1], path[last, 2]))
+        total += 0.5 * max(0.0, before) * (slack * slack if squared else -slack)
+    return total
+
+
+@kernel
+def _apart(blocks: FloatArray, b: int, bound: FloatArray, i: int, reach: float) -> bool:
+    """Whether box ``b`` (its middle, half its sides) is surely further than ``reach`` from solid ``i``."""
+    dx = max(0.0, abs(blocks[b, 0] - bound[i, 0]) - blocks[b, 3])
+    dy = max(0.0, abs(blocks[b, 1] - bound[i, 1]) - blocks[b, 4])
+    near = bound[i, 2] + reach
+    if dx * dx + dy * dy >= near * near:
+        return True
+    return bool(
+        blocks[b, 2] - blocks[b, 5] - bound[i, 4] >= reach or bound[i, 3] - blocks[b, 2] - blocks[b, 5] >= reach
+    )
+
+
+@kernel
+def _space_terms(
+    path: FloatArray, space: SpaceArrays, q: PriceSettings, hop: FloatArray, blocks: FloatArray, out: FloatArray
+) -> None:
+    """Depth within reach of solids, of fence and area, integrated; ``blocks`` (B, 6) is scratch."""
+    last = hop.shape[0]
+    count = blocks.shape[0] - 1
+    for b in range(count + 1):  # a box around every few samples, the last around all: most solids are passed by at once
+        first = b * BLOCK if b < count else 0
+        stop = min(first + BLOCK, last) if b < count else last
+        for axis in range(3):
+            low = high = path[first, axis]
+            for k in range(first + 1, stop + 1):
+                low = min(low, path[k, axis])
+                high = max(high, path[k, axis])
+            blocks[b, axis] = 0.5 * (low + high)
+            blocks[b, 3 + axis] = 0.5 * (high - low)
+    scale = max(1.0, q.obstacle_m) * q.route_length_m
+    out[OBSTACLES] = 0.0
+    out[COLLISION] = 0.0
+    out[OCEAN] = 0.0
+    out[RADAR_ZONE] = 0.0
+    o = space.obstacles
+    for i in range(o.kind.shape[0]):
+        hard = o.hard[i]
+        radius = o.bound[i, 2]
+        reach = q.obstacle_m if hard else 0.0
+        step = hiding_step(reach if hard else radius)
+        depth = 0.0
+        if _apart(blocks, count, o.bound, i, reach):
+            continue
+        for b in range(count):
+            if not _apart(blocks, b, o.bound, i, reach):
+                first = b * BLOCK
+                depth += _depth_integral(path, hop, first, min(first + BLOCK, last), space, i, reach, step, not hard)
+        if depth > 0.0:
+            if not hard:
+                out[RADAR_ZONE] += depth / (radius * radius * q.route_length_m)
+            elif o.kind[i] == CONE:
+                out[COLLISION] += depth / scale
+            elif o.kind[i] == MARINE:
+                out[OCEAN] += depth / scale
+            else:
+                out[OBSTACLES] += depth / scale
+    scale = max(1.0, q.fence_m) * q.route_length_m
+    out[FENCED] = _depth_integral(path, hop, 0, last, space, -1, q.fence_m, hiding_step(q.fence_m), False) / scale
+
+
+@kernel
+def _ball_depth(u: float, miss2: float, miss: float, radius: float) -> float:
+    """Antiderivative over u of ``radius - sqrt(miss^2 + u^2)``."""
+    return radius * u - 0.5 * (u * math.sqrt(miss2 + u * u) + (miss2 * math.asinh(u / miss) if miss > 0.0 else 0.0))
+
+
+@kernel
+def _passing_depth(rx: float, ry: float, rz: float, vx: float, vy: float, vz: float, radius: float) -> float:
+    """Mean over s in [0, 1] of the depth ``max(0, radius - |r + s v|)``: exact, nobody slips between samples."""
+    vv = vx * vx + vy * vy + vz * vz
+    rr = rx * rx + ry * ry + rz * rz
+    rv = rx * vx + ry * vy + rz * vz
+    if rr >= 2.0 * (radius * radius + vv):  # |r| >= radius + |v|: too far off to come near
+        return 0.0
+    speed = math.sqrt(vv)
+    if speed <= 1e-9 * (1.0 + radius):
+        return max(0.0, radius - math.sqrt(rr))
+    closest = -rv / vv
+    s = min(1.0, max(0.0, closest))
+    if rr + s * (2.0 * rv + s * vv) >= radius * radius:
+        return 0.0
+    miss2 = max(0.0, rr + closest * rv)
+    miss = math.sqrt(miss2)
+    half = math.sqrt(radius * radius - miss2)
+    first = max(-half, -closest * speed)
+    then = min(half, (1.0 - closest) * speed)
+    return max(0.0, _ball_depth(then, miss2, miss, radius) - _ball_depth(first, miss2, miss, radius)) / speed
+
+
+@kernel
+def _fellow_term(path: FloatArray, fellows: FloatArray, radius: float, hop: FloatArray, length: float) -> float:
+    """Mean depth within ``radius`` of fellows (F, N, 3), who are as far along their way as this path along its own."""
+    instants = fellows.shape[1]
+    if fellows.shape[0] == 0 or instants < 2 or radius <= 0.0:
+        return 0.0
+    total: float = 0.0
+    ax = path[0, 0]
+    ay = path[0, 1]
+    az = path[0, 2]
+    k = 0
+    passed = 0.0
+    last = hop.shape[0] - 1
+    for n in range(1, instants):
+        along = length * n / (instants - 1)
+        while k < last and passed + hop[k] < along:
+            passed += hop[k]
+            k += 1
+        s = min(1.0, (along - passed) / hop[k]) if hop[k] > 0.0 else 0.0
+        bx = path[k, 0] + s * (path[k + 1, 0] - path[k, 0])
+        by = path[k, 1] + s * (path[k + 1, 1] - path[k, 1])
+        bz = path[k, 2] + s * (path[k + 1, 2] - path[k, 2])
+        for f in range(fellows.shape[0]):
+            rx = ax - fellows[f, n - 1, 0]
+            ry = ay - fellows[f, n - 1, 1]
+            rz = az - fellows[f, n - 1, 2]
+            total += _passing_depth(
+                rx,
+                ry,
+                rz,
+                bx - fellows[f, n, 0] - rx,
+                by - fellows[f, n, 1] - ry,
+                bz - fellows[f, n, 2] - rz,
+                radius,
+            )
+        ax = bx
+        ay = by
+        az = bz
+    mean: float = total / ((instants - 1) * radius)
+    return mean
+
+
+@kernel
+def _piece_distance2(path: FloatArray, k: int, x: float, y: float, z: float) -> float:
+    """Squared distance from a point to the piece of the path after sample k."""
+    wx = x - path[k, 0]
+    wy = y - path[k, 1]
+    wz = z - path[k, 2]
+    ex = path[k + 1, 0] - path[k, 0]
+    ey = path[k + 1, 1] - path[k, 1]
+    ez = path[k + 1, 2] - path[k, 2]
+    ee = ex * ex + ey * ey + ez * ez
+    s = min(1.0, max(0.0, (wx * ex + wy * ey + wz * ez) / ee)) if ee > 0.0 else 0.0
+    wx -= s * ex
+    wy -= s * ey
+    wz -= s * ez
+    d2: float = wx * wx + wy * wy + wz * wz
+    return d2
+
+
+@kernel
+def _path_distance(path: FloatArray, hop: FloatArray, x: float, y: float, z: float) -> float:
+    """Least distance from a point to a path."""
+    least2 = _FAR_M * _FAR_M
+    for k in range(0, path.shape[0], 8):
+        dx = path[k, 0] - x
+        dy = path[k, 1] - y
+        dz = path[k, 2] - z
+        least2 = min(least2, dx * dx + dy * dy + dz * dz)
+    least = math.sqrt(least2)
+    k = 0
+    while k < hop.shape[0]:
+        dx = path[k, 0] - x
+        dy = path[k, 1] - y
+        dz = path[k, 2] - z
+        spare = math.sqrt(dx * dx + dy * dy + dz * dz) - least  # so far along the path nothing is nearer than `least`
+        if spare < hop[k]:
+            d2 = _piece_distance2(path, k, x, y, z)
+            if d2 < least2:
+                least2 = d2
+                least = math.sqrt(d2)
+            k += 1
+        else:
+            while k < hop.shape[0] and spare >= hop[k]:
+                spare -= hop[k]
+                k += 1
+    return least
+
+
+@kernel
+def _inspection_term(
+    path: FloatArray, tower_tops: FloatArray, tower_weights: FloatArray, tower_range_m: float, hop: FloatArray
+) -> float:
+    """Share of the towers' weight not collected; a tower passed too far off counts the more, the further."""
+    missed = 0.0
+    whole = 0.0
+    for n in range(tower_tops.shape[0]):
+        whole += tower_weights[n]
+        if tower_weights[n] > 0.0:
+            d = _path_distance(path, hop, tower_tops[n, 0], tower_tops[n, 1], tower_tops[n, 2])
+            too_far = max(0.0, d - tower_range_m) / tower_range_m
+            missed += tower_weights[n] * too_far / (1.0 + too_far)
+    return missed / whole if whole > 0.0 else 0.0
+
+
+@kernel
+def price_path(
+    path: FloatArray,
+    space: SpaceArrays,
+    q: PriceSettings,
+    tower_tops: FloatArray,
+    tower_weights: FloatArray,
+    fellows: FloatArray,
+    hop: FloatArray,
+    blocks: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write one row of :func:`price_paths` for one path (S, 3); ``hop`` (S - 1,) and ``blocks`` are scratch."""
+    _shape_terms(path, q, hop, out)
+    if not math.isfinite(out[VOYAGE]):  # NaN or overflow: never the best, and no walk along it would end
+        out[:] = np.inf
+        return
+    _height_terms(path, space.terrain, q, hop, out)
+    _space_terms(path, space, q, hop, blocks, out)
+    out[FELLOWS] = _fellow_term(path, fellows, q.separation_m, hop, out[VOYAGE] * q.route_length_m)
+    out[INSPECTION] = _inspection_term(path, tower_tops, tower_weights, q.tower_range_m, hop)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def price_paths(
+    paths: FloatArray,
+    space: SpaceArrays,
+    q: PriceSettings,
+    tower_tops: FloatArray,
+    tower_weights: FloatArray,
+    fellows: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Write the price of paths (P, S, 3), term by term, to ``out`` (P, PRICE_COLUMNS); see :mod:`missionplanner.cost`.
+
+    Releases the interpreter's lock, so that threads may share a population. That is not left to numba's own parallel
+    loops: those compile for seconds longer, cannot take tuples of tuples, and forbid callers to use threads or fork.
+    """
+    hop = np.empty(paths.shape[1] - 1)
+    blocks = np.empty(((paths.shape[1] + BLOCK - 2) // BLOCK + 1, 6))
+    for p in range(paths.shape[0]):
+        price_path(paths[p], space, q, tower_tops, tower_weights, fellows, hop, blocks, out[p])

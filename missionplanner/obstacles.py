@@ -104,13 +104,13 @@ def pack(solids: Sequence[Solid]) -> Obstacles:
     count = len(solids)
     kind = np.zeros(count, dtype=np.int64)
     params = np.zeros((count, 8))
-    bound = np.zeros((count, 3))
+    bound = np.zeros((count, 5))
     hard = np.ones(count, dtype=np.bool_)
     vertices: list[FloatArray] = [np.zeros((0, 2))]
     vertex_start = np.zeros(count + 1, dtype=np.int64)
     for i, solid in enumerate(solids):
         kind[i], row, bound[i] = _row(solid)
-        if not np.isfinite(bound[i]).all() or np.isnan(row).any():
+        if not np.isfinite(bound[i, :3]).all() or np.isnan(row).any() or not bound[i, 3] < bound[i, 4]:
             raise MissionError(f"obstacle {solid.name}: expected numbers for its place and size, got {solid}")
         params[i, : len(row)] = row
         if isinstance(solid, SphereSolid):
@@ -122,32 +122,35 @@ def pack(solids: Sequence[Solid]) -> Obstacles:
     return Obstacles(tuple(solid.name for solid in solids), arrays)
 
 
-def _row(solid: Solid) -> tuple[int, tuple[float, ...], tuple[float, float, float]]:
-    """Return the kind of a solid, its row of parameters, and the circle around it."""
+def _row(solid: Solid) -> tuple[int, tuple[float, ...], tuple[float, float, float, float, float]]:
+    """Return the kind of a solid, its row of parameters, and its bounds: the circle around it, lowest and highest z."""
     match solid:
         case CylinderSolid(name, x, y, radius_m, top_amsl_m):
             _check(name, "radius_m", radius_m)
-            return kernels.CYLINDER, (x, y, radius_m, top_amsl_m), (x, y, radius_m)
-        case ConeSolid(name, x, y, base_radius_m, base_amsl_m, height_m):
-            _check(name, "base_radius_m", base_radius_m)
+            return kernels.CYLINDER, (x, y, radius_m, top_amsl_m), (x, y, radius_m, -math.inf, top_amsl_m)
+        case ConeSolid(name, x, y, radius_m, base_amsl_m, height_m):
+            _check(name, "base_radius_m", radius_m)
             _check(name, "height_m", height_m)
-            return kernels.CONE, (x, y, base_radius_m, base_amsl_m, height_m), (x, y, base_radius_m)
-        case SphereSolid(name, x, y, z, radius_m, kind):
+            bounds = (x, y, radius_m, base_amsl_m, base_amsl_m + height_m)
+            return kernels.CONE, (x, y, radius_m, base_amsl_m, height_m), bounds
+        case SphereSolid(name, x, y, z, radius_m, sphere):
             _check(name, "radius_m", radius_m)
-            return kernels.RADAR if kind == "radar" else kernels.MARINE, (x, y, z, radius_m), (x, y, radius_m)
+            kind = kernels.RADAR if sphere == "radar" else kernels.MARINE
+            return kind, (x, y, z, radius_m), (x, y, radius_m, z - radius_m, z + radius_m)
         case PrismSolid(name, xy, floor_amsl_m, top_amsl_m):
             outline = np.asarray(xy, dtype=np.float64)
             check_polygon(outline, f"obstacle {name}")
             _check(name, "top above its floor", top_amsl_m - floor_amsl_m)
-            middle = 0.5 * (outline.min(axis=0) + outline.max(axis=0))
-            reach = float(np.linalg.norm(outline - middle, axis=1).max())
+            x, y = (float(v) for v in 0.5 * (outline.min(axis=0) + outline.max(axis=0)))
+            reach_m = float(np.hypot(outline[:, 0] - x, outline[:, 1] - y).max())
             row = (floor_amsl_m, top_amsl_m, float(_is_convex(outline)))
-            return kernels.PRISM, row, (float(middle[0]), float(middle[1]), reach)
+            return kernels.PRISM, row, (x, y, reach_m, floor_amsl_m, top_amsl_m)
         case CableSolid(name, start, end, radius_m):
             _check(name, "radius_m", radius_m)
-            x, y = (0.5 * (start[k] + end[k]) for k in (0, 1))
-            half = 0.5 * math.hypot(end[0] - start[0], end[1] - start[1])
-            return kernels.CABLE, (*start, *end, radius_m), (float(x), float(y), half + radius_m)
+            x, y = (0.5 * float(start[k] + end[k]) for k in (0, 1))
+            reach_m = 0.5 * math.hypot(end[0] - start[0], end[1] - start[1]) + radius_m
+            low, high = sorted((float(start[2]), float(end[2])))
+            return kernels.CABLE, (*start, *end, radius_m), (x, y, reach_m, low - radius_m, high + radius_m)
 
 
 def check_polygon(xy: FloatArray, name: str) -> None:
@@ -197,3 +200,15 @@ def _touch(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
 def _is_convex(xy: FloatArray) -> bool:
     turns = [_turn(xy[k - 2], xy[k - 1], xy[k]) for k in range(len(xy))]
     return all(t >= 0.0 for t in turns) or all(t <= 0.0 for t in turns)
+
+
+def join(first: ObstacleArrays, second: ObstacleArrays) -> ObstacleArrays:
+    """Return the solids of both, the first's before the second's."""
+    return ObstacleArrays(
+        kind=np.concatenate([first.kind, second.kind]),
+        params=np.concatenate([first.params, second.params]),
+        bound=np.concatenate([first.bound, second.bound]),
+        hard=np.concatenate([first.hard, second.hard]),
+        vertices=np.concatenate([first.vertices, second.vertices]),
+        vertex_start=np.concatenate([first.vertex_start, first.vertex_start[-1] + second.vertex_start[1:]]),
+    )
