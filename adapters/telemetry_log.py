@@ -1,0 +1,130 @@
+"""Telemetry logs (``.tlog``): raw MAVLink frames, each after its time, as MAVProxy and Mission Planner write them.
+
+A record is 8 bytes, big-endian microseconds since 1970, then one frame as it was on the wire. There is no header and no
+end mark, so a log that was cut short is readable up to the cut
+(https://ardupilot.org/planner/docs/mission-planner-telemetry-logs.html).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from missionplanner.errors import MissionError
+
+_STAMP = struct.Struct(">Q")
+_MERGED = "fleet.tlog"
+_STX2, _STX1 = 0xFD, 0xFE
+_SIGNED = 0x01
+_YEAR_2000_US, _YEAR_2200_US = 946_684_800 * 10**6, 7_258_118_400 * 10**6
+
+
+class FleetLog:
+    """One log per vehicle and one of all, in a folder; both directions, as ground stations keep them.
+
+    ``epoch_s`` is the time since 1970 at which the link's clock showed zero.
+    """
+
+    def __init__(self, folder: Path, names: Mapping[int, str], epoch_s: float) -> None:
+        self._epoch_s = epoch_s
+        self._files: dict[int, BinaryIO] = {}
+        self.paths = [folder / f"{name}.tlog" for name in names.values()]
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            for sysid, path in zip(names, self.paths, strict=True):
+                self._files[sysid] = path.open("wb")
+            self._merged = (folder / _MERGED).open("wb")
+        except OSError as error:
+            for file in self._files.values():
+                file.close()
+            raise MissionError(f"{folder}: expected a folder that can be written to, got: {error.strerror}") from error
+        self.paths.append(folder / _MERGED)
+
+    def write(self, now_s: float, sysid: int, frame: bytes) -> None:
+        """Add one frame from or to the vehicle ``sysid``; one of an unknown vehicle goes to the merged log only."""
+        record = _STAMP.pack(round((self._epoch_s + now_s) * 1e6)) + frame
+        self._merged.write(record)
+        if sysid in self._files:
+            self._files[sysid].write(record)
+
+    def close(self) -> None:
+        """Finish all files."""
+        for file in (*self._files.values(), self._merged):
+            file.close()
+
+    def __enter__(self) -> FleetLog:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+@dataclass(frozen=True, slots=True)
+class TelemetryLog:
+    """What a log holds: messages with their times since 1970, and how many bytes could not be read."""
+
+    records: tuple[tuple[float, Any], ...]
+    lost_bytes: int
+
+
+def read_log(path: Path) -> TelemetryLog:
+    """Read all whole frames of a log; what is damaged or cut short is skipped and counted.
+
+    Raises
+    ------
+    MissionError
+        The file cannot be read, or holds no frame at all.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise MissionError(f"{path}: expected a telemetry log, got: {error.strerror or error}") from error
+    parser = mavlink.MAVLink(None)
+    records: list[tuple[float, Any]] = []
+    lost = position = 0
+    while position < len(data):
+        length = _record_length(data, position)
+        message = _decode(parser, data[position + _STAMP.size : position + length]) if length else None
+        if message is None:
+            lost += 1
+            position += 1
+            continue
+        (stamp_us,) = _STAMP.unpack_from(data, position)
+        records.append((stamp_us / 1e6, message))
+        position += length
+    if data and not records:
+        raise MissionError(f"{path}: expected a telemetry log, got {len(data)} bytes without any MAVLink frame")
+    return TelemetryLog(tuple(records), lost)
+
+
+def _record_length(data: bytes, position: int) -> int:
+    """Return the length of the whole record that starts there, 0 if none does."""
+    start = position + _STAMP.size
+    if start + 3 > len(data):
+        return 0
+    (stamp_us,) = _STAMP.unpack_from(data, position)
+    if not _YEAR_2000_US < stamp_us < _YEAR_2200_US:
+        return 0
+    payload = data[start + 1]
+    if data[start] == _STX2:
+        length = 12 + payload + (13 if data[start + 2] & _SIGNED else 0)
+    elif data[start] == _STX1:
+        length = 8 + payload
+    else:
+        return 0
+    return _STAMP.size + length if start + length <= len(data) else 0
+
+
+def _decode(parser: Any, frame: bytes) -> Any | None:
+    try:
+        return parser.decode(bytearray(frame))
+    except mavlink.MAVError:
+        return None
