@@ -50,3 +50,19 @@ def write_atomic(path: Path, content: str | bytes) -> None:
     """
     with replacing(path) as draft:
         draft.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def ensure_writable(folder: Path) -> None:
+    """Make ``folder`` if need be and check that files can be written to it: before long work, not after.
+
+    Raises
+    ------
+    MissionError
+        They cannot.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise MissionError(f"{folder}: expected a folder that can be written to, got: {error.strerror}") from error

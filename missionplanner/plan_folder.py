@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -21,13 +21,15 @@ from missionplanner.geodesy import FloatArray, LocalFrame
 from missionplanner.mission import parse_mission
 from missionplanner.path import length_m
 from missionplanner.path_search import PlannedPath
-from missionplanner.plan import Clearance, FleetPlan, VehiclePlan
+from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownVehicle, Trajectory, VehiclePlan
 from missionplanner.planner import Schedule
 from missionplanner.scene import TERRAIN_NAME, Scene, build_scene, portable_mission
 from missionplanner.terrain import write_raster
 
 PLAN_NAME = "plan.json"
+FLIGHT_NAME = "flight.json"
 FORMAT = "missionplanner-plan"
+FLIGHT_FORMAT = "missionplanner-flight"
 VERSION = 1
 
 Vector = tuple[float, float, float]
@@ -54,6 +56,21 @@ class _VehicleRecord(_Record):
     cost_terms: dict[str, float]
     history: tuple[float, ...]
     evaluations: int
+
+
+class _FlownRecord(_Record):
+    name: str
+    sysid: int
+    arrival_s: float | None
+    landed_s: float | None
+    t_s: tuple[float, ...] = Field(min_length=1)
+    position_m: tuple[Vector, ...] = Field(min_length=1)
+
+
+class _FlightRecord(_Record):
+    format: Literal["missionplanner-flight"]
+    version: Literal[1]
+    vehicles: tuple[_FlownRecord, ...]
 
 
 class _PlanRecord(_Record):
@@ -102,7 +119,7 @@ def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
         There is no plan, it is damaged, of another version, or does not fit its own mission or terrain.
     """
     path = folder / PLAN_NAME
-    record = _read(path)
+    record = _read(path, _PlanRecord, "plan the mission again")
     mission = parse_mission(json.dumps(record.mission), f"{path}: mission")
     scene = build_scene(mission, folder)
     if scene.input_sha256 != record.input_sha256:
@@ -119,26 +136,74 @@ def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
     return scene, proof.checked(scene, plan)
 
 
-def _read(path: Path) -> _PlanRecord:
+def save_flight(folder: Path, flight: FleetFlight) -> Path:
+    """Write the recorded flight beside the plan and return its path."""
+    document = {
+        "format": FLIGHT_FORMAT,
+        "version": VERSION,
+        "vehicles": [
+            {
+                "name": vehicle.name,
+                "sysid": vehicle.sysid,
+                "arrival_s": vehicle.arrival_s,
+                "landed_s": vehicle.landed_s,
+                "t_s": np.round(vehicle.trajectory.t_s, 3).tolist(),
+                "position_m": np.round(vehicle.trajectory.position_m, 3).tolist(),
+            }
+            for vehicle in flight.vehicles
+        ],
+    }
+    path = folder / FLIGHT_NAME
+    write_atomic(path, json.dumps(document, allow_nan=False) + "\n")
+    return path
+
+
+def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
+    """Read the recorded flight of a plan; None if it was not flown.
+
+    Raises
+    ------
+    MissionError
+        The record is damaged or of another fleet.
+    """
+    path = folder / FLIGHT_NAME
+    if not path.exists():
+        return None
+    record = _read(path, _FlightRecord, "fly the plan again, or delete the file")
+    if [v.name for v in record.vehicles] != [v.name for v in plan.vehicles]:
+        raise MissionError(f"{path}: expected a flight of {', '.join(v.name for v in plan.vehicles)}, got another fleet")
+    return FleetFlight(
+        tuple(
+            FlownVehicle(
+                v.name, v.sysid, Trajectory(np.array(v.t_s), np.array(v.position_m)), v.arrival_s, v.landed_s
+            )
+            for v in record.vehicles
+        )
+    )
+
+
+_AnyRecord = TypeVar("_AnyRecord", bound=_Record)
+
+
+def _read(path: Path, kind: type[_AnyRecord], remedy: str) -> _AnyRecord:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise MissionError(f"{path}: expected a plan folder with {PLAN_NAME}, got none: plan a mission first") from None
+        raise MissionError(f"{path}: expected a plan folder with {path.name}, got none: plan a mission first") from None
     except (OSError, UnicodeDecodeError) as error:
-        raise MissionError(f"{path}: could not be read: {error}") from error
+        raise MissionError(f"{path}: could not be read: {error}: {remedy}") from error
     try:
-        return _PlanRecord.model_validate(json.loads(text))
+        return kind.model_validate(json.loads(text))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(str(step) for step in first["loc"]) or "the whole file"
+        problem = f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}"
     except ValueError as error:
-        if isinstance(error, ValidationError):
-            first = error.errors(include_url=False)[0]
-            where = ".".join(str(step) for step in first["loc"]) or "the whole file"
-            problem = f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}"
-        else:
-            problem = f"not JSON: {error}"
-        raise MissionError(
-            f"{path}: expected a {FORMAT} of version {VERSION}, got a damaged one or another ({problem}): "
-            "plan the mission again"
-        ) from error
+        problem = f"not JSON: {error}"
+    raise MissionError(
+        f"{path}: expected what this program wrote (version {VERSION}), got a damaged file or another's ({problem}): "
+        f"{remedy}"
+    )
 
 
 def _path(record: _VehicleRecord) -> PlannedPath:

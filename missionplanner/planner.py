@@ -22,7 +22,7 @@ from missionplanner.kernels import SpaceArrays
 from missionplanner.obstacles import CableSolid
 from missionplanner.path import evenly
 from missionplanner.path_search import PlannedPath, find_path
-from missionplanner.plan import FleetPlan, VehiclePlan
+from missionplanner.plan import FleetPlan, Trajectory, VehiclePlan
 from missionplanner.proof import Conflict
 from missionplanner.scene import Scene, VehicleTask
 
@@ -108,7 +108,7 @@ def schedule(
         The fleet cannot arrive together, or a vehicle cannot stay within its endurance.
     """
     fleet = scene.mission.fleet
-    windows = [timing.arrival_window(task, p.waypoints_m) for task, p in zip(scene.tasks, paths, strict=True)]
+    windows = [_window(task, path) for task, path in zip(scene.tasks, paths, strict=True)]
     if not fleet.arrive_together:
         speeds = [task.limits.speed_max_m_s for task in scene.tasks]
         return [Schedule(*s) for s in zip(delays_s, speeds, windows, strict=True)], None
@@ -116,11 +116,30 @@ def schedule(
     arrival_s = timing.common_arrival(
         dict(zip(names, windows, strict=True)), dict(zip(names, delays_s, strict=True)), fleet.arrival_time_s
     )
-    schedules = [
-        Schedule(delay, timing.speed_for_arrival(task, path.waypoints_m, arrival_s - delay), window)
-        for task, path, delay, window in zip(scene.tasks, paths, delays_s, windows, strict=True)
-    ]
+    schedules = []
+    for task, path, delay_s, window_s in zip(scene.tasks, paths, delays_s, windows, strict=True):
+        low, high = task.limits.speed_min_m_s, task.limits.speed_max_m_s
+        speed_m_s = timing.speed_for_arrival(
+            task.motion, task.home_m, path.waypoints_m, arrival_s - delay_s, low, high
+        )
+        schedules.append(Schedule(delay_s, speed_m_s, window_s))
     return schedules, arrival_s
+
+
+def predict(
+    scene: Scene, task: VehicleTask, waypoints_m: FloatArray, speed_m_s: float, start_delay_s: float = 0.0
+) -> tuple[Trajectory, FloatArray]:
+    """Return a vehicle's predicted flight, and when (W,) it reaches each waypoint."""
+    goal_m = waypoints_m[-1]
+    return timing.predict_flight(
+        task.motion,
+        task.home_m,
+        waypoints_m,
+        speed_m_s,
+        end=task.end,
+        ground_amsl_m=scene.terrain.ground_amsl_m(goal_m[0], goal_m[1], f"{task.name}'s goal"),
+        start_delay_s=start_delay_s,
+    )
 
 
 def assemble(
@@ -129,7 +148,7 @@ def assemble(
     """Return the fleet plan of paths and schedules, flights predicted, nothing checked yet."""
     vehicles = []
     for task, path, when in zip(scene.tasks, paths, schedules, strict=True):
-        flight = timing.predict_flight(task, path.waypoints_m, when.speed_m_s, when.start_delay_s)
+        trajectory, reached_s = predict(scene, task, path.waypoints_m, when.speed_m_s, when.start_delay_s)
         vehicles.append(
             VehiclePlan(
                 name=task.name,
@@ -145,9 +164,9 @@ def assemble(
                 speed_m_s=when.speed_m_s,
                 start_delay_s=when.start_delay_s,
                 window_s=when.window_s,
-                arrival_s=float(flight.reached_s[-1]),
-                reached_s=flight.reached_s,
-                trajectory=flight.trajectory,
+                arrival_s=float(reached_s[-1]),
+                reached_s=reached_s,
+                trajectory=trajectory,
                 cost=path.cost,
                 cost_terms=path.cost_terms,
                 history=path.history,
@@ -165,6 +184,11 @@ def assemble(
         software_version=__version__,
         input_sha256=scene.input_sha256,
     )
+
+
+def _window(task: VehicleTask, path: PlannedPath) -> tuple[float, float]:
+    low, high = task.limits.speed_min_m_s, task.limits.speed_max_m_s
+    return timing.arrival_window(task.motion, task.home_m, path.waypoints_m, low, high)
 
 
 def _path(
@@ -192,8 +216,8 @@ def _path(
         )
 
     def flown_is_clear(waypoints_m: FloatArray) -> bool:
-        flight = timing.predict_flight(task, waypoints_m, task.limits.speed_max_m_s)
-        airborne = proof.airborne_part(flight.trajectory, float(flight.reached_s[0]))
+        trajectory, reached_s = predict(scene, task, waypoints_m, task.limits.speed_max_m_s)
+        airborne = proof.airborne_part(trajectory, float(reached_s[0]))
         return bool(proof.all_clear(space, margins, polyline_legs(airborne.position_m)))
 
     on_iteration = None if watch is None else lambda done: watch(task.name, done)
