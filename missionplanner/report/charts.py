@@ -1,0 +1,338 @@
+"""The flat pictures: height profiles, distances over time, arrival windows, cost over iterations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+from missionplanner.geodesy import FloatArray
+from missionplanner.plan import Clearance
+from missionplanner.report import style
+from missionplanner.report.facts import Distances, Facts, VehicleFacts, along_m, along_path_m, distances
+from missionplanner.report.shapes import Shape, vertical_range
+from missionplanner.scene import Scene
+
+_PROFILE_SAMPLES = 2000
+_FAR_M = 1e5
+_NAMED_LINES = 10
+
+
+def height_profile(facts: Facts, shapes: Sequence[Shape], vehicle: VehicleFacts) -> Figure:
+    """Draw one vehicle's path and flight over the ground below it, with the room it must keep."""
+    figure = style.new_figure(2.75)
+    axes = figure.add_axes((0.07, 0.16, 0.915, 0.66))
+    plan, limits = vehicle.plan, vehicle.task.limits
+    colour = style.vehicle_colour(vehicle.index)
+    run = along_m(plan.path_m)
+    below_run = np.linspace(0.0, run[-1], _PROFILE_SAMPLES)
+    below = np.stack([np.interp(below_run, run, plan.path_m[:, k]) for k in range(3)], axis=-1)
+    ground = facts.scene.terrain.height_amsl_m(below[:, 0], below[:, 1])
+    terrain = _clearance_to(plan.clearances, "terrain")
+    required_m = terrain.required_m if terrain else limits.terrain_margin_m + limits.tracking_error_m
+
+    tops = [plan.path_m[:, 2].max()]
+    track = vehicle.flown.en_route.position_m if vehicle.flown else None
+    if track is not None:
+        tops.append(track[:, 2].max())
+    low, high = float(np.nanmin(ground)), float(max(tops))
+    room = max(high - low, 30.0)
+    bottom, top = low - 0.14 * room, high + 0.12 * room
+
+    axes.fill_between(below_run, bottom, ground, color=style.GROUND, linewidth=0, zorder=2)
+    axes.plot(below_run, ground, color=style.GROUND_EDGE, linewidth=0.9, zorder=3)
+    axes.fill_between(below_run, ground, ground + required_m, color=style.MARGIN, alpha=0.28, linewidth=0, zorder=1.5)
+    around_m = limits.obstacle_margin_m + limits.tracking_error_m
+    _draw_section(axes, [s for s in shapes if s.hard], below_run, below, around_m)
+    _draw_ceiling(axes, below_run, ground, limits.height_agl_max_m, limits.alt_amsl_max_m, top)
+    axes.plot(run, plan.path_m[:, 2], color=colour, linewidth=2.2, zorder=6, path_effects=style.halo(3.4))
+    waypoint_run = along_path_m(plan.path_m, plan.waypoints_m, window_m=math.inf)
+    axes.plot(
+        waypoint_run, plan.waypoints_m[:, 2], linestyle="none", marker="o", markersize=3.6, zorder=7,
+        markerfacecolor="white", markeredgecolor=colour, markeredgewidth=1.0,
+    )  # fmt: skip
+    if track is not None:
+        track = track[:: max(1, len(track) // 1500)]
+        axes.plot(along_path_m(plan.path_m, track), track[:, 2], color=style.INK, linewidth=0.8, zorder=8)
+
+    said = []
+    for mark, clearance in zip("ab", plan.clearances, strict=False):
+        where = float(along_path_m(plan.path_m, np.array([clearance.position_m]), window_m=math.inf)[0])
+        _mark_least(axes, facts.scene, clearance, where, mark, bottom)
+        said.append(f"{mark}  {_clearance_words(clearance)}")
+    axes.set_xlim(0.0, max(float(run[-1]), 1.0))
+    axes.set_ylim(bottom, top)
+    axes.set_ylabel("altitude AMSL (m)")
+    axes.yaxis.set_major_locator(MaxNLocator(5))
+    _distance_axis(axes, float(run[-1]))
+    style.quiet(axes)
+    figure.text(0.07, 0.935, plan.name, color=colour, fontsize=11, fontweight="bold", va="center")
+    figure.text(0.985, 0.935, "     ".join(said), color=style.INK, fontsize=8, ha="right", va="center")
+    figure.text(
+        0.07, 0.865, _profile_key(required_m, track is not None), color=style.MUTED, fontsize=7.5, va="center"
+    )  # fmt: skip
+    return figure
+
+
+def separation(facts: Facts) -> Figure:
+    """Draw the distances between the vehicles over time, planned and flown, beside the required separation."""
+    panels: list[tuple[str, Distances, Clearance | None]] = []
+    planned = facts.plan.separation
+    instants = [planned.t_s] if planned and planned.t_s is not None else []
+    trajectories = [v.plan.trajectory for v in facts.vehicles]
+    panels.append(("planned", distances(trajectories, instants), planned))
+    flown = [v.flown.record.trajectory for v in facts.vehicles if v.flown]
+    if len(flown) == len(facts.vehicles):
+        least = facts.flown_separation
+        instants = [least.t_s] if least and least.t_s is not None else []
+        panels.append(("flown", distances(flown, instants), least))
+    figure = style.new_figure(2.9)
+    required_m = facts.scene.mission.fleet.separation_m
+    axes_list: list[Axes] = []
+    for i, (title, lines, least) in enumerate(panels):
+        width = (0.915 - 0.05 * (len(panels) - 1)) / len(panels)
+        axes = figure.add_axes((0.07 + i * (width + 0.05), 0.155, width, 0.66))
+        _draw_distances(axes, facts, lines, least, required_m)
+        axes.set_title(title, loc="left", fontsize=9, fontweight="bold", color=style.INK, pad=5)
+        axes_list.append(axes)
+    low = min(axes.get_ylim()[0] for axes in axes_list)
+    high = max(axes.get_ylim()[1] for axes in axes_list)
+    for axes in axes_list:
+        axes.set_ylim(low, high)
+    axes_list[0].set_ylabel("distance (m)")
+    _line_key(figure, facts, panels[0][1])
+    return figure
+
+
+def arrival_windows(facts: Facts) -> Figure:
+    """Draw when each vehicle can arrive, when it is planned to and when it did."""
+    count = len(facts.vehicles)
+    row_in = 0.3 if count <= 12 else max(0.12, 3.6 / count)
+    height_in = 0.95 + row_in * count
+    figure = style.new_figure(height_in)
+    axes = figure.add_axes((0.12, 0.5 / height_in, 0.72, 1 - 0.9 / height_in))
+    windows = np.array([v.plan.window_s for v in facts.vehicles]) + np.array(
+        [[v.plan.start_delay_s] for v in facts.vehicles]
+    )
+    arrivals = [v.plan.arrival_s for v in facts.vehicles]
+    flown = [v.flown.record.arrival_s for v in facts.vehicles if v.flown and v.flown.record.arrival_s is not None]
+    finite = windows[np.isfinite(windows)]
+    latest = max([*finite, *arrivals, *flown])
+    start = min([*finite, *arrivals, *flown])
+    room = max(latest - start, 1.0)
+    left, right = max(0.0, start - 0.12 * room), latest + 0.12 * room
+    begin, end = windows[:, 0].max(), windows[:, 1].min()
+    if facts.plan.arrival_s is not None and begin <= end:
+        axes.axvspan(begin, min(end, right), color="#1a7f4b", alpha=0.10, linewidth=0, zorder=0)
+    for v, (first, last) in zip(facts.vehicles, windows, strict=True):
+        colour = style.vehicle_colour(v.index)
+        axes.barh(v.index, min(last, right) - first, left=first, height=0.5, color=colour, alpha=0.35, linewidth=0)
+        for edge in (first, last):
+            axes.plot([edge, edge], [v.index - 0.25, v.index + 0.25], color=colour, linewidth=1.6)
+        axes.plot(v.plan.arrival_s, v.index, marker="o", color=colour, markersize=6, markeredgecolor="white", zorder=5)
+        if v.flown and v.flown.record.arrival_s is not None:
+            axes.plot(
+                v.flown.record.arrival_s, v.index, marker="D", markersize=4.2, linestyle="none", zorder=6,
+                markerfacecolor="none", markeredgecolor=style.INK, markeredgewidth=1.1,
+            )  # fmt: skip
+        if row_in >= 0.2:
+            axes.annotate(
+                _arrival_words(v), xy=(1, v.index), xycoords=("axes fraction", "data"), xytext=(6, 0),
+                textcoords="offset points", fontsize=7.5, va="center",
+            )  # fmt: skip
+    if facts.plan.arrival_s is not None:
+        axes.axvline(facts.plan.arrival_s, color=style.INK, linewidth=1.0, zorder=4)
+    axes.set_xlim(left, right)
+    axes.set_ylim(count - 0.5, -0.5)
+    step = 1 if row_in >= 0.2 else math.ceil(0.2 / row_in)
+    axes.set_yticks(range(0, count, step), [v.name for v in facts.vehicles][::step])
+    axes.tick_params(axis="y", length=0, labelcolor=style.INK)
+    axes.set_xlabel("time since mission start (s)")
+    axes.grid(True, axis="x")
+    axes.set_axisbelow(True)
+    axes.spines["left"].set_visible(False)
+    words = "bar: fastest to slowest arrival     ●  planned"
+    words += "     ◇  flown" if flown else ""
+    if facts.plan.arrival_s is not None:
+        words += f"     line: common arrival {facts.plan.arrival_s:.1f} s     green: when all can arrive"
+    figure.text(0.12, 1 - 0.2 / height_in, words, color=style.MUTED, fontsize=7.5, va="center")
+    return figure
+
+
+def cost_history(facts: Facts) -> Figure:
+    """Draw the best cost of every vehicle's search, iteration by iteration."""
+    figure = style.new_figure(2.7)
+    axes = figure.add_axes((0.07, 0.165, 0.915, 0.68))
+    lowest, highest = math.inf, -math.inf
+    for v in facts.vehicles:
+        history = np.asarray(v.plan.history, dtype=float)
+        shown = history[np.isfinite(history)]
+        if not shown.size:
+            continue
+        lowest, highest = min(lowest, float(shown.min())), max(highest, float(shown.max()))
+        axes.step(
+            np.arange(1, history.size + 1), history, where="post", color=style.vehicle_colour(v.index),
+            linestyle=style.vehicle_dashes(v.index), linewidth=1.6,
+        )  # fmt: skip
+        axes.plot(history.size, history[-1], "o", color=style.vehicle_colour(v.index), markersize=3.5)
+    if lowest > 0 and highest > 8 * lowest:
+        axes.set_yscale("log")
+        _plain_log(axes)
+    axes.set_xlim(left=1)
+    axes.xaxis.set_major_locator(MaxNLocator(8, integer=True))
+    axes.set_xlabel("iteration")
+    axes.set_ylabel("best cost")
+    style.quiet(axes)
+    _name_key(figure, facts, 0.925)
+    return figure
+
+
+def _draw_section(axes: Axes, shapes: Sequence[Shape], run: FloatArray, below: FloatArray, around_m: float) -> None:
+    """Fill what the obstacles, and the distance to keep from them, take of the vertical surface along the path."""
+    place = below[:, :2]
+    low, high = place.min(axis=0) - around_m, place.max(axis=0) + around_m
+    for shape in shapes:
+        near = shape.outline_m.max(axis=0) + shape.radius_m >= low
+        if not (near.all() and (shape.outline_m.min(axis=0) - shape.radius_m <= high).all()):
+            continue
+        for thicker, colour, alpha, zorder in ((around_m, style.MARGIN, 0.28, 1.6), (0.0, style.STEEL, 0.8, 1.8)):
+            bottom, top = vertical_range(shape, place, thicker)
+            if np.isfinite(top).any() or np.isposinf(top).any():
+                taken = ~np.isnan(top)
+                bottom, top = np.clip(bottom, -_FAR_M, _FAR_M), np.clip(top, -_FAR_M, _FAR_M)
+                edge = 0.0 if thicker else 0.6
+                axes.fill_between(
+                    run, bottom, top, where=taken, facecolor=colour, edgecolor=colour, alpha=alpha, linewidth=edge, zorder=zorder
+                )  # fmt: skip
+
+
+def _draw_ceiling(
+    axes: Axes, run: FloatArray, ground: FloatArray, height_agl_m: float, alt_amsl_m: float, top_m: float
+) -> None:
+    ceiling = np.minimum(ground + height_agl_m, alt_amsl_m)
+    if np.nanmin(ceiling) < top_m:
+        axes.plot(run, ceiling, color=style.BAD, linewidth=0.9, linestyle=(0, (4, 2)), zorder=5)
+
+
+def _mark_least(axes: Axes, scene: Scene, clearance: Clearance, run_m: float, mark: str, bottom_m: float) -> None:
+    x, y, z = clearance.position_m
+    colour = style.INK if clearance.ok else style.BAD
+    foot = z
+    if clearance.what == "terrain":
+        foot = float(scene.terrain.height_amsl_m(np.array([x]), np.array([y]))[0])
+        axes.annotate(
+            "", xy=(run_m, foot), xytext=(run_m, z), zorder=9,
+            arrowprops={"arrowstyle": "<->", "color": colour, "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0},
+        )  # fmt: skip
+    else:
+        axes.plot(run_m, z, marker="D", markersize=4.5, color=colour, markeredgecolor="white", zorder=9)
+    axes.annotate(
+        mark, xy=(run_m, foot), xytext=(0, -9), textcoords="offset points", ha="center", va="center", zorder=10,
+        fontsize=7.5, fontweight="bold", color="white",
+        bbox={"boxstyle": "circle,pad=0.22", "facecolor": colour, "edgecolor": "white", "linewidth": 0.6},
+    )  # fmt: skip
+
+
+def _draw_distances(axes: Axes, facts: Facts, lines: Distances, least: Clearance | None, required_m: float) -> None:
+    for i, distance in enumerate(lines.distance_m):
+        first, second = lines.pairs[i] if lines.pairs else (i, i)
+        axes.plot(
+            lines.t_s, distance, color=style.vehicle_colour(first), linewidth=1.3,
+            linestyle=style.vehicle_dashes(first), zorder=3,
+        )  # fmt: skip
+        if first != second:
+            axes.plot(lines.t_s, distance, color=style.vehicle_colour(second), linewidth=1.3, dashes=(4, 4), zorder=3.1)
+    lowest = float(lines.distance_m.min())
+    highest = float(lines.distance_m.max())
+    floor = max(min(lowest, required_m if required_m > 0 else lowest), 0.1)
+    if highest > 8 * floor:
+        axes.set_yscale("log")
+        axes.set_ylim(floor * 0.62, highest * 1.35)
+        _plain_log(axes)
+    else:
+        axes.set_ylim(0.0, highest * 1.1)
+    if required_m > 0:
+        axes.axhspan(1e-3, required_m, color=style.BAD, alpha=0.09, linewidth=0, zorder=0)
+        axes.axhline(required_m, color=style.BAD, linewidth=0.9, zorder=2)
+        axes.annotate(
+            f"required {required_m:g} m", xy=(1, required_m), xycoords=("axes fraction", "data"), xytext=(-3, -3),
+            textcoords="offset points", color=style.BAD, fontsize=7.5, ha="right", va="top",
+        )  # fmt: skip
+    if least is not None and least.t_s is not None:
+        colour = style.INK if least.ok else style.BAD
+        axes.plot(least.t_s, least.distance_m, "o", color=colour, markersize=5, markeredgecolor="white", zorder=6)
+        t_end = float(lines.t_s[-1])
+        on_left = least.t_s < 0.6 * t_end
+        axes.annotate(
+            f"least {least.distance_m:.1f} m", xy=(least.t_s, least.distance_m), zorder=7,
+            xytext=(6 if on_left else -6, -7), textcoords="offset points", fontsize=7.5, fontweight="bold",
+            color=colour, ha="left" if on_left else "right", va="center", path_effects=style.halo(2.2),
+        )  # fmt: skip
+    axes.set_xlim(0.0, float(lines.t_s[-1]))
+    axes.set_xlabel("time since mission start (s)")
+    style.quiet(axes)
+
+
+def _line_key(figure: Figure, facts: Facts, lines: Distances) -> None:
+    if lines.pairs is None:
+        figure.text(
+            0.985, 0.955, "each vehicle to its nearest fellow", color=style.MUTED, fontsize=7.5, ha="right", va="center"
+        )
+    _name_key(figure, facts, 0.955)
+
+
+def _name_key(figure: Figure, facts: Facts, height: float) -> None:
+    """Write the vehicles' names in their colours, in one row."""
+    shown = facts.vehicles[:_NAMED_LINES]
+    left = 0.07
+    for v in shown:
+        figure.text(left, height, "●", color=style.vehicle_colour(v.index), fontsize=8, va="center")
+        figure.text(left + 0.014, height, v.name, color=style.INK, fontsize=8, va="center")
+        left += 0.03 + 0.0078 * len(v.name)
+    if len(facts.vehicles) > len(shown):
+        figure.text(
+            left, height, f"and {len(facts.vehicles) - len(shown)} more", color=style.MUTED, fontsize=8, va="center"
+        )
+
+
+def _distance_axis(axes: Axes, length_m: float) -> None:
+    if length_m > 2500:
+        axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value / 1000:g}"))
+        axes.set_xlabel("horizontal distance along the path (km)")
+    else:
+        axes.set_xlabel("horizontal distance along the path (m)")
+    axes.xaxis.set_major_locator(MaxNLocator(10, steps=[1, 2, 5, 10]))
+
+
+def _plain_log(axes: Axes) -> None:
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_minor_locator(LogLocator(subs=()))
+
+
+def _clearance_to(clearances: tuple[Clearance, ...], what: str) -> Clearance | None:
+    return next((c for c in clearances if c.what == what), None)
+
+
+def _clearance_words(clearance: Clearance) -> str:
+    thing = "above ground" if clearance.what == "terrain" else f"to {clearance.what}"
+    return f"{clearance.distance_m:.1f} m {thing} (needs {clearance.required_m:g})"
+
+
+def _arrival_words(v: VehicleFacts) -> str:
+    words = f"{v.plan.arrival_s:.1f} s"
+    if v.flown is None:
+        return words
+    if v.flown.record.arrival_s is None:
+        return f"{words}, never arrived"
+    return f"{words}, flown {v.flown.record.arrival_s - v.plan.arrival_s:+.2f} s"
+
+
+def _profile_key(required_m: float, flown: bool) -> str:
+    words = f"coloured: planned path with its waypoints     amber: to be kept clear, {required_m:g} m above ground     dark: obstacles"
+    return words + ("     thin black: flown" if flown else "")

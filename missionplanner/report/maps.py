@@ -1,0 +1,459 @@
+"""The maps: relief, obstacles, towers and paths from above, with everything that explains them beside the map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon, Rectangle
+from matplotlib.ticker import FuncFormatter, MaxNLocator
+
+from missionplanner.geodesy import FloatArray
+from missionplanner.report import style
+from missionplanner.report.facts import Facts, VehicleFacts
+from missionplanner.report.labels import Labels
+from missionplanner.report.relief import Box, Ground, contour_interval_m, relief_colours, sample_ground
+from missionplanner.report.shapes import Shape
+
+_MAP_WIDTH_IN = 7.15
+_MAP_LEFT_IN = 0.5
+_MAP_BOTTOM_IN = 0.62
+_ROW_IN = 0.185
+_SITE_SHARE = 0.2
+_NAMED_VEHICLES = 14
+_KINDS = {
+    "cylinder": "mast or building",
+    "cone": "peak",
+    "radar": "radar zone",
+    "soft radar": "radar zone, priced only",
+    "marine": "marine hazard",
+    "no_fly": "no-fly zone",
+    "cable": "cable",
+    "conductor": "conductors of the line",
+    "tower": "tower of the line",
+}
+_CONDUCTOR: dict[str, Any] = {"color": "#55606a", "linewidth": 6.2, "alpha": 0.55, "solid_capstyle": "butt"}
+_FILL_ALPHA = {"cylinder": 0.55, "cone": 0.35, "radar": 0.18, "soft radar": 0.08, "marine": 0.30, "no_fly": 0.14}
+
+
+def fleet_map(facts: Facts, shapes: Sequence[Shape]) -> Figure:
+    """Draw the whole mission from above."""
+    box = map_box(facts, shapes)
+    height_in = _MAP_WIDTH_IN * (box[3] - box[1]) / (box[2] - box[0])
+    figure = style.new_figure(height_in + _MAP_BOTTOM_IN + 0.12)
+    axes = _map_axes(figure, box, _MAP_LEFT_IN, _MAP_BOTTOM_IN, _MAP_WIDTH_IN, height_in)
+    ground = _draw_ground(axes, facts, box, columns=620)
+    drawn = [s for s in shapes if _overlaps(s.outline_m, box)]
+    _draw_all(axes, facts, drawn, ground)
+    _scale_bar(figure, box, _MAP_LEFT_IN, 0.26, _MAP_WIDTH_IN)
+    _side_panel(figure, facts, drawn, ground, box)
+    return figure
+
+
+def detail_maps(facts: Facts, shapes: Sequence[Shape]) -> Figure | None:
+    """Draw where the fleet takes off and where it ends, if these are too small to be seen on the whole map."""
+    whole = map_box(facts, shapes)
+    across = min(whole[2] - whole[0], whole[3] - whole[1])
+    sites = {
+        "Take-off": np.array([v.plan.home_m for v in facts.vehicles]),
+        "Goals": np.array([v.plan.waypoints_m[-1] for v in facts.vehicles]),
+    }
+    both = np.concatenate(list(sites.values()))
+    if _extent_m(both) < _SITE_SHARE * across:
+        sites = {"Take-off and goals": both}
+    small = {title: places for title, places in sites.items() if _extent_m(places) < _SITE_SHARE * across}
+    if not small:
+        return None
+    size_in = 4.1
+    figure = style.new_figure(size_in + 0.95)
+    for i, (title, places) in enumerate(small.items()):
+        middle = (places.min(axis=0) + places.max(axis=0))[:2] / 2
+        half = max(0.85 * _extent_m(places), 0.02 * across, 40.0)
+        box = (middle[0] - half, middle[1] - half, middle[0] + half, middle[1] + half)
+        left = _MAP_LEFT_IN + i * (size_in + 0.75)
+        axes = _map_axes(figure, box, left, _MAP_BOTTOM_IN, size_in, size_in)
+        ground = _draw_ground(axes, facts, box, columns=300)
+        _draw_all(axes, facts, [s for s in shapes if _overlaps(s.outline_m, box)], ground)
+        axes.set_title(title, loc="left", fontsize=9, fontweight="bold", color=style.INK, pad=5)
+        _scale_bar(figure, box, left, 0.26, size_in)
+    return figure
+
+
+def _extent_m(places: FloatArray) -> float:
+    return float(np.ptp(places[:, :2], axis=0).max())
+
+
+def map_box(facts: Facts, shapes: Sequence[Shape]) -> Box:
+    """Return what the map shows: all paths, homes and towers; obstacles and fence where they are not much farther."""
+    places = [v.plan.path_m[:, :2] for v in facts.vehicles] + [v.plan.home_m[None, :2] for v in facts.vehicles]
+    places += [v.flown.record.trajectory.position_m[:, :2] for v in facts.vehicles if v.flown]
+    if facts.scene.towers is not None:
+        places.append(facts.scene.towers.top_m[:, :2])
+    everything = np.concatenate(places)
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    limit = 1.35 * np.maximum(high - low, 0.35 * (high - low).max()) + 60.0
+    extras = [s.outline_m for s in shapes]
+    if len(facts.scene.space.fence):
+        extras.append(facts.scene.space.fence)
+    for extra in extras:
+        wider_low, wider_high = np.minimum(low, extra.min(axis=0)), np.maximum(high, extra.max(axis=0))
+        if np.all(wider_high - wider_low <= limit):
+            low, high = wider_low, wider_high
+    size = np.maximum(high - low, 60.0) * 1.12
+    size = np.maximum(size, [size[1] * 0.95, size[0] * 0.52])
+    middle = (low + high) / 2
+    west, south = middle - size / 2
+    east, north = middle + size / 2
+    return float(west), float(south), float(east), float(north)
+
+
+def _overlaps(outline_m: FloatArray, box: Box) -> bool:
+    low, high = outline_m.min(axis=0), outline_m.max(axis=0)
+    return bool(low[0] < box[2] and high[0] > box[0] and low[1] < box[3] and high[1] > box[1])
+
+
+def _map_axes(figure: Figure, box: Box, left_in: float, bottom_in: float, width_in: float, height_in: float) -> Axes:
+    whole = figure.get_size_inches()
+    axes = figure.add_axes((left_in / whole[0], bottom_in / whole[1], width_in / whole[0], height_in / whole[1]))
+    axes.set_xlim(box[0], box[2])
+    axes.set_ylim(box[1], box[3])
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+        spine.set_color(style.MUTED)
+        spine.set_zorder(30)
+    kilometres = box[2] - box[0] > 3000
+    words = FuncFormatter(lambda value, _: f"{value / 1000:g}" if kilometres else f"{value:g}")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+        axis.set_major_formatter(words)
+    axes.tick_params(length=2.5, width=0.6, labelsize=7, pad=2)
+    axes.tick_params(axis="y", labelrotation=90)
+    for label in axes.get_yticklabels():
+        label.set_va("center")
+    return axes
+
+
+def _draw_ground(axes: Axes, facts: Facts, box: Box, columns: int) -> Ground:
+    ground = sample_ground(facts.scene.terrain, box, columns)
+    sea = any(o.kind == "marine" for o in facts.scene.mission.obstacles)
+    colours = relief_colours(ground, sea=sea)
+    axes.imshow(
+        colours, extent=(box[0], box[2], box[1], box[3]), origin="lower", interpolation="bilinear", aspect="auto", zorder=0
+    )  # fmt: skip
+    interval = contour_interval_m(ground.relief_m)
+    if ground.relief_m > 2.0:
+        low, high = np.nanmin(ground.height_amsl_m), np.nanmax(ground.height_amsl_m)
+        levels = np.arange(math.ceil(low / interval), math.floor(high / interval) + 1) * interval
+        thick = np.where(np.isclose(levels / interval % 5, 0), 0.8, 0.4)
+        axes.contour(
+            ground.x_m, ground.y_m, ground.height_amsl_m, levels=levels, colors="#7c6a50", linewidths=thick,
+            alpha=0.55, zorder=1,
+        )  # fmt: skip
+    return ground
+
+
+def _draw_all(axes: Axes, facts: Facts, shapes: Sequence[Shape], ground: Ground) -> None:
+    labels = Labels(axes)
+    _draw_fence(axes, facts)
+    for shape in shapes:
+        _draw_shape(axes, shape)
+    for v in facts.vehicles:
+        _draw_vehicle(axes, v)
+        labels.avoid_line(v.plan.path_m)
+        labels.avoid_mark(v.plan.home_m, 4.5)
+        labels.avoid_mark(v.plan.waypoints_m[-1], 5.0)
+    _label_vehicles(labels, facts)
+    _label_shapes(axes, labels, [s for s in shapes if s.kind not in ("tower", "conductor")])
+    _label_towers(labels, facts)
+    _label_contours(axes, labels, ground)
+
+
+def _draw_fence(axes: Axes, facts: Facts) -> None:
+    fence = facts.scene.space.fence
+    if len(fence):
+        axes.add_patch(Polygon(fence, closed=True, fill=False, edgecolor="white", linewidth=2.6, zorder=4.0))
+        axes.add_patch(
+            Polygon(fence, closed=True, fill=False, edgecolor="#1a6b3c", linewidth=1.3, linestyle=(0, (7, 2, 1.5, 2)), zorder=4.1)
+        )  # fmt: skip
+
+
+def _kind(shape: Shape) -> str:
+    return "soft radar" if shape.kind == "radar" and not shape.hard else shape.kind
+
+
+def _draw_shape(axes: Axes, shape: Shape) -> None:
+    colour = style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL)
+    outline = shape.outline_m
+    if shape.kind in ("cable", "conductor"):
+        if shape.kind == "conductor":  # wide enough to show on both sides of a path that follows the line
+            axes.plot(outline[:, 0], outline[:, 1], zorder=4.5, **_CONDUCTOR)
+        else:
+            axes.plot(outline[:, 0], outline[:, 1], color="white", linewidth=2.9, zorder=4.4)
+            axes.plot(outline[:, 0], outline[:, 1], color=colour, linewidth=1.5, zorder=4.5)
+        if shape.kind == "cable":
+            axes.plot(
+                outline[:, 0], outline[:, 1], linestyle="none", marker="|", markersize=6, color=colour,
+                markeredgewidth=1.5, zorder=4.6,
+            )  # fmt: skip
+        return
+    if shape.kind == "tower":
+        axes.plot(
+            *shape.centre_m, marker="s", markersize=3.4, color=style.STEEL, markeredgecolor="white",
+            markeredgewidth=0.6, zorder=8.5,
+        )  # fmt: skip
+        return
+    hatch = {"no_fly": "////", "marine": "....", "radar": "" if shape.hard else "...."}.get(shape.kind)
+    axes.add_patch(
+        Polygon(outline, closed=True, facecolor=colour, alpha=_FILL_ALPHA[_kind(shape)], linewidth=0, zorder=3)
+    )
+    if hatch:
+        axes.add_patch(
+            Polygon(outline, closed=True, fill=False, edgecolor=colour, alpha=0.45, linewidth=0, hatch=hatch, zorder=3.1)
+        )  # fmt: skip
+    dashes = (0, (4, 2)) if shape.kind == "radar" else "solid"
+    axes.add_patch(
+        Polygon(outline, closed=True, fill=False, edgecolor=colour, linewidth=1.0, linestyle=dashes, zorder=3.2)
+    )
+    if shape.kind == "cone":
+        for share in (0.33, 0.66):
+            ring = shape.centre_m + share * (outline - shape.centre_m)
+            axes.plot(ring[:, 0], ring[:, 1], color=colour, linewidth=0.5, zorder=3.2)
+        axes.plot(*shape.centre_m, marker="^", markersize=4, color=colour, zorder=3.3)
+    # too small to be seen at this scale: a mark of its own
+    across_px = np.ptp(axes.transData.transform(outline)[:, 0])
+    if across_px < 5.0 * axes.figure.dpi / 72.0:
+        axes.plot(
+            *shape.centre_m, marker="X" if shape.kind == "cylinder" else "o", markersize=6.5, color=colour,
+            markeredgecolor="white", markeredgewidth=0.7, zorder=4.7,
+        )  # fmt: skip
+
+
+def _draw_vehicle(axes: Axes, v: VehicleFacts) -> None:
+    colour, dashes = style.vehicle_colour(v.index), style.vehicle_dashes(v.index)
+    path, waypoints, home = v.plan.path_m, v.plan.waypoints_m, v.plan.home_m
+    axes.plot(path[:, 0], path[:, 1], color="white", linewidth=3.9, zorder=6, alpha=0.85, solid_capstyle="round")
+    axes.plot(path[:, 0], path[:, 1], color=colour, linewidth=2.3, linestyle=dashes, zorder=7)
+    pixels = axes.transData.transform(waypoints[:, :2])
+    spacing_pt = np.median(np.linalg.norm(np.diff(pixels, axis=0), axis=-1)) * 72.0 / axes.figure.dpi
+    if spacing_pt > 6.0:
+        axes.plot(
+            waypoints[1:-1, 0], waypoints[1:-1, 1], linestyle="none", marker="o", markersize=2.8, markerfacecolor="white",
+            markeredgecolor=colour, markeredgewidth=0.9, zorder=8,
+        )  # fmt: skip
+    if v.flown:
+        track = v.flown.record.trajectory.position_m
+        track = track[:: max(1, len(track) // 3000)]
+        axes.plot(track[:, 0], track[:, 1], color=style.INK, linewidth=0.6, zorder=9)
+    axes.plot(
+        home[0], home[1], marker="s", markersize=6, color="white", markeredgecolor=colour, markeredgewidth=1.8, zorder=10
+    )  # fmt: skip
+    axes.plot(
+        waypoints[-1, 0], waypoints[-1, 1], marker="o", markersize=7.5, color=colour, markeredgecolor="white",
+        markeredgewidth=1.2, zorder=10,
+    )  # fmt: skip
+
+
+def _label_vehicles(labels: Labels, facts: Facts) -> None:
+    names = [v.name for v in facts.vehicles]
+    colours = [style.vehicle_colour(v.index) for v in facts.vehicles]
+    homes = np.array([v.plan.home_m for v in facts.vehicles])
+    goals = np.array([v.plan.waypoints_m[-1] for v in facts.vehicles])
+    labels.place_group(names, colours, homes, f"{len(homes)} homes")
+    labels.place_group(names, colours, goals, f"{len(goals)} goals")
+
+
+def _label_shapes(axes: Axes, labels: Labels, shapes: Sequence[Shape]) -> None:
+    """Name obstacles: the large ones inside, the small ones beside."""
+    for shape in shapes:
+        colour = style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL)
+        must = len(shapes) <= 25
+        if shape.kind == "cable":
+            labels.place(shape.name, shape.axis_m.mean(axis=0), size=7.5, must=must, color=colour)
+            continue
+        across_pt = float(np.ptp(axes.transData.transform(shape.outline_m), axis=0).min()) * 72.0 / axes.figure.dpi
+        roomy = across_pt > 9.0 + 5.5 * len(shape.name)
+        if roomy and labels.place(shape.name, shape.centre_m, size=7.5, centred=True, color=colour):
+            continue
+        gap_pt = 3.0 + (0.0 if roomy else max(across_pt / 2, 3.5))
+        labels.place(shape.name, shape.centre_m, size=7.5, gap_pt=gap_pt, must=must, color=colour)
+
+
+def _label_towers(labels: Labels, facts: Facts) -> None:
+    """Name the first and the last tower, then as many between them as have room, evenly."""
+    towers = facts.scene.towers
+    if towers is None:
+        return
+    for top in towers.top_m:
+        labels.avoid_mark(top, 2.6)
+    count = len(towers.names)
+    order = [0, count - 1]
+    for step in (10, 5, 2, 1):
+        order += [i for i in range(0, count, step) if i not in order]
+    for i in dict.fromkeys(order):
+        labels.place(towers.names[i], towers.top_m[i], size=6, gap_pt=3.5, color=style.STEEL)
+
+
+def _label_contours(axes: Axes, labels: Labels, ground: Ground) -> None:
+    """Write altitudes on the thick contours, where nothing else is."""
+    interval = 5 * contour_interval_m(ground.relief_m)
+    if ground.relief_m <= 2.0 or interval <= 0.0:
+        return
+    z = ground.height_amsl_m
+    rows = np.linspace(0.12, 0.88, 4) * (len(ground.y_m) - 1)
+    for row in rows.astype(int):
+        over = np.floor(z[row] / interval)
+        for column in np.flatnonzero(np.abs(np.diff(over)) == 1)[::2]:
+            level = max(over[column], over[column + 1]) * interval
+            place = np.array([ground.x_m[column], ground.y_m[row]])
+            labels.place(f"{level:g}", place, size=6, centred=True, color="#6b5a42")
+
+
+def _scale_bar(figure: Figure, box: Box, left_in: float, bottom_in: float, width_in: float) -> None:
+    metres = box[2] - box[0]
+    rough = metres / 5.0
+    decade = 10.0 ** math.floor(math.log10(rough))
+    length = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= rough)
+    whole = figure.get_size_inches()
+    bar_in = length / metres * width_in
+    x0, x1, y = left_in / whole[0], (left_in + bar_in) / whole[0], bottom_in / whole[1]
+    tick = 0.035 / whole[1]
+    figure.add_artist(Line2D([x0, x0, x1, x1], [y + tick, y, y, y + tick], color=style.INK, linewidth=1.3))
+    middle = (x0 + x1) / 2
+    figure.add_artist(Line2D([middle, middle], [y, y + tick], color=style.INK, linewidth=0.8))
+    words = f"{length / 1000:g} km" if length >= 1000 else f"{length:g} m"
+    figure.text(x1 + 0.07 / whole[0], y, words, fontsize=7.5, va="center")
+    kilometres = metres > 3000
+    figure.text(
+        (left_in + width_in) / whole[0], y, f"grid: {'km' if kilometres else 'm'} east and north of the origin",
+        fontsize=7, color=style.MUTED, ha="right", va="center",
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """A line of the legend: its words, and how its line and its mark are drawn."""
+
+    text: str
+    line: dict[str, Any] | None = None
+    mark: dict[str, Any] | None = None
+
+
+def _side_panel(figure: Figure, facts: Facts, shapes: Sequence[Shape], ground: Ground, box: Box) -> None:
+    """Draw north arrow, legend and, for a large area, an overview: beside the map, so nothing is covered."""
+    whole = figure.get_size_inches()
+    left_in = _MAP_LEFT_IN + _MAP_WIDTH_IN + 0.16
+    width_in = whole[0] - left_in - 0.05
+    axes = figure.add_axes((left_in / whole[0], 0.0, width_in / whole[0], 1.0))
+    axes.set_xlim(0, width_in)
+    axes.set_ylim(0, whole[1])
+    axes.set_axis_off()
+    top = whole[1] - 0.14
+    _north_arrow(axes, width_in - 0.16, top)
+    y = top - 0.02
+    for title, rows in _legend(facts, shapes, ground):
+        axes.text(0.0, y, title, fontsize=8, fontweight="bold", va="center")
+        y -= _ROW_IN * 1.1
+        for row in rows:
+            if row.line:
+                axes.add_line(Line2D([0.02, 0.30], [y, y], **row.line))
+            if row.mark:
+                axes.add_line(Line2D([0.16], [y], linestyle="none", **row.mark))
+            axes.text(0.40, y, row.text, fontsize=7.5, va="center")
+            y -= _ROW_IN
+        y -= 0.1
+    _overview(figure, facts, box, left_in, width_in, y)
+
+
+def _north_arrow(axes: Axes, x: float, top: float) -> None:
+    axes.add_patch(Polygon([[x, top + 0.08], [x - 0.075, top - 0.22], [x, top - 0.15]], color=style.INK, linewidth=0))
+    axes.add_patch(
+        Polygon([[x, top + 0.08], [x + 0.075, top - 0.22], [x, top - 0.15]], facecolor="white", edgecolor=style.INK, linewidth=0.7)
+    )  # fmt: skip
+    axes.text(x, top - 0.30, "N", fontsize=8, fontweight="bold", ha="center", va="center")
+
+
+def _legend(facts: Facts, shapes: Sequence[Shape], ground: Ground) -> list[tuple[str, list[_Row]]]:
+    shown = facts.vehicles[:_NAMED_VEHICLES]
+    vehicles = [
+        _Row(
+            v.name,
+            {"color": style.vehicle_colour(v.index), "linestyle": style.vehicle_dashes(v.index), "linewidth": 2.2},
+        )
+        for v in shown
+    ]
+    if len(facts.vehicles) > len(shown):
+        vehicles.append(_Row(f"and {len(facts.vehicles) - len(shown)} more"))
+    grey = style.MUTED
+    marks = [
+        _Row("home", mark=_ring("s", 6.0, grey, 1.8)),
+        _Row("goal", mark={"marker": "o", "markersize": 7.5, "color": grey}),
+        _Row("waypoint", {"color": grey, "linewidth": 2.0}, _ring("o", 2.8, grey, 0.9)),
+    ]
+    if facts.flown:
+        marks.append(_Row("flown track", {"color": style.INK, "linewidth": 0.9}))
+    kinds = {_kind(shape) for shape in shapes}
+    things = [_key(kind) for kind in _KINDS if kind in kinds]
+    if len(facts.scene.space.fence):
+        things.append(_Row("fence", {"color": "#1a6b3c", "linewidth": 1.3, "linestyle": (0, (7, 2, 1.5, 2))}))
+    if ground.relief_m > 2.0:
+        interval = contour_interval_m(ground.relief_m)
+        things.append(_Row(f"contours every {interval:g} m", {"color": "#7c6a50", "linewidth": 0.8}))
+    return [("Planned paths", vehicles), ("Marks", marks), ("Obstacles and ground", things)]
+
+
+def _ring(marker: str, size: float, colour: str, width: float) -> dict[str, Any]:
+    return {
+        "marker": marker, "markersize": size, "color": "white", "markeredgecolor": colour, "markeredgewidth": width
+    }  # fmt: skip
+
+
+def _key(kind: str) -> _Row:
+    colour = style.OBSTACLE_COLOURS.get(kind.removeprefix("soft "), style.STEEL)
+    if kind in ("cable", "conductor"):
+        return _Row(_KINDS[kind], _CONDUCTOR if kind == "conductor" else {"color": colour, "linewidth": 1.5})
+    if kind == "tower":
+        return _Row(_KINDS[kind], mark={"marker": "s", "markersize": 3.8, "color": colour})
+    fill = to_rgba(colour, _FILL_ALPHA[kind])
+    return _Row(
+        _KINDS[kind],
+        mark={
+            "marker": "s" if kind == "no_fly" else "o",
+            "markersize": 8,
+            "markerfacecolor": fill,
+            "markeredgecolor": colour,
+        },  # fmt: skip
+    )
+
+
+def _overview(figure: Figure, facts: Facts, box: Box, left_in: float, width_in: float, top_in: float) -> None:
+    """Show where the map lies in the mission's area, if that is much larger and there is room below the legend."""
+    west, south, east, north = facts.scene.area_m
+    if (east - west) < 1.5 * (box[2] - box[0]) and (north - south) < 1.5 * (box[3] - box[1]):
+        return
+    height_in = width_in * (north - south) / (east - west)
+    if height_in > min(2.2, top_in - 0.45):
+        return
+    whole = figure.get_size_inches()
+    axes = figure.add_axes((left_in / whole[0], _MAP_BOTTOM_IN / whole[1], width_in / whole[0], height_in / whole[1]))
+    ground = sample_ground(facts.scene.terrain, facts.scene.area_m, 200)
+    colours = relief_colours(ground, sea=False)
+    axes.imshow(colours, extent=(west, east, south, north), origin="lower", interpolation="bilinear", aspect="auto")
+    axes.add_patch(
+        Rectangle((box[0], box[1]), box[2] - box[0], box[3] - box[1], fill=False, edgecolor=style.BAD, linewidth=1.2)
+    )
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+    figure.text(
+        left_in / whole[0], (_MAP_BOTTOM_IN - 0.12) / whole[1],
+        f"mission area, {(east - west) / 1000:.0f} by {(north - south) / 1000:.0f} km", fontsize=7, color=style.MUTED,
+        va="center",
+    )  # fmt: skip

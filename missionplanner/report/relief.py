@@ -1,0 +1,80 @@
+"""The ground as pictures show it: sampled on a grid, shaded by a low sun in the north-west, with contours."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.colors import LinearSegmentedColormap
+
+from missionplanner.geodesy import FloatArray
+from missionplanner.terrain import Terrain
+
+Box = tuple[float, float, float, float]  # west, south, east, north, metres
+
+_TINT = LinearSegmentedColormap.from_list("tint", ["#e3ebdf", "#eef0e2", "#f6f0e0", "#efe3d2", "#f7f3ee"])
+_SEA = np.array([0.83, 0.90, 0.94])
+_VOID = np.array([0.90, 0.91, 0.92])
+_SUN = np.array([-1.0, 1.0, 1.35]) / math.sqrt(1.0 + 1.0 + 1.35**2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """Heights (R, C) on a regular grid of the local frame; row 0 is the southernmost; NaN where nothing is known."""
+
+    x_m: FloatArray  # (C,)
+    y_m: FloatArray  # (R,)
+    height_amsl_m: FloatArray
+
+    @property
+    def relief_m(self) -> float:
+        """Highest minus lowest height."""
+        known = self.height_amsl_m[np.isfinite(self.height_amsl_m)]
+        return float(np.ptp(known)) if known.size else 0.0
+
+
+def sample_ground(terrain: Terrain, box: Box, columns: int) -> Ground:
+    """Sample the terrain over ``box`` with square cells."""
+    west, south, east, north = box
+    rows = max(2, round((north - south) / (east - west) * (columns - 1)) + 1)
+    x, y = np.linspace(west, east, columns), np.linspace(south, north, rows)
+    xx, yy = np.meshgrid(x, y)
+    return Ground(x, y, np.asarray(terrain.height_amsl_m(xx, yy), dtype=float))
+
+
+def relief_colours(ground: Ground, *, sea: bool) -> FloatArray:
+    """Return colours (R, C, 3): tinted by height, shaded by slope; with ``sea``, ground at sea level is water."""
+    z = ground.height_amsl_m
+    known = np.isfinite(z)
+    if not known.any():
+        return np.broadcast_to(_VOID, (*z.shape, 3)).copy()
+    low, high = np.percentile(z[known], [1, 99])
+    filled = np.where(known, z, low)
+    colours = np.asarray(_TINT((filled - low) / max(high - low, 1.0)))[..., :3]
+    if sea:
+        colours[filled <= 0.5] = _SEA
+    shade = _shade(filled, ground)
+    colours = np.clip(colours * shade[..., None], 0.0, 1.0)
+    colours[~known] = _VOID
+    return colours
+
+
+def contour_interval_m(relief_m: float) -> float:
+    """Return a round interval that makes about a dozen contours."""
+    if relief_m <= 0.0:
+        return 0.0
+    rough = relief_m / 12.0
+    decade = 10.0 ** math.floor(math.log10(rough))
+    return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if rough <= step * decade)
+
+
+def _shade(height: FloatArray, ground: Ground) -> npt.NDArray[np.float64]:
+    dy, dx = np.gradient(height, ground.y_m, ground.x_m)
+    steep = float(np.percentile(np.hypot(dx, dy), 95))
+    exaggeration = float(np.clip(0.6 / max(steep, 1e-6), 0.15, 4.0)) if steep > 1e-3 else 1.0
+    dx, dy = dx * exaggeration, dy * exaggeration
+    light = (-dx * _SUN[0] - dy * _SUN[1] + _SUN[2]) / np.sqrt(1.0 + dx**2 + dy**2)
+    level = _SUN[2]
+    return np.asarray(np.clip(1.0 + 0.55 * (light - level), 0.5, 1.06))

@@ -1,0 +1,330 @@
+"""The view in space: the ground as a block seen obliquely from above, with obstacles and paths over it.
+
+The ground is drawn pixel by pixel, column by column, front to back (a height field needs no more), which also says
+exactly what it hides; everything else is projected and drawn over it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+from scipy.ndimage import map_coordinates
+
+from missionplanner.geodesy import FloatArray
+from missionplanner.report import style
+from missionplanner.report.facts import Facts, VehicleFacts
+from missionplanner.report.labels import Labels
+from missionplanner.report.maps import map_box
+from missionplanner.report.relief import Ground, relief_colours, sample_ground
+from missionplanner.report.shapes import Shape, facets
+
+_AZIMUTH_RAD = math.radians(24.0)  # the viewer stands in the south-south-west
+_ELEVATION_RAD = math.radians(33.0)
+_COLUMNS = 1440
+_DEPTHS = 900
+_GROUND_CELLS = 420
+_SKIRTS = (np.array([0.66, 0.60, 0.52]), np.array([0.76, 0.71, 0.63]))
+_LIGHT = np.array([-0.6, -0.25, 0.75])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Camera:
+    """An orthographic view of a ground block; screen positions are metres right of and above the block's middle."""
+
+    middle_m: FloatArray  # (2,)
+    base_m: float  # altitude of the block's foot
+    exaggeration: float
+
+    def turn(self, positions_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return how far right (...) and how far away (...) positions (..., 2 or 3) are."""
+        x, y = positions_m[..., 0] - self.middle_m[0], positions_m[..., 1] - self.middle_m[1]
+        sin, cos = math.sin(_AZIMUTH_RAD), math.cos(_AZIMUTH_RAD)
+        return x * cos - y * sin, x * sin + y * cos
+
+    def up(self, away_m: FloatArray, z_m: FloatArray) -> FloatArray:
+        """Return the height on the screen of points this far away and at these altitudes."""
+        lifted = (z_m - self.base_m) * self.exaggeration
+        return away_m * math.sin(_ELEVATION_RAD) + lifted * math.cos(_ELEVATION_RAD)
+
+    def project(self, positions_m: FloatArray) -> FloatArray:
+        """Return screen positions (..., 2) of positions (..., 3)."""
+        right, away = self.turn(positions_m)
+        return np.stack([right, self.up(away, positions_m[..., 2])], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Block:
+    """The drawn ground: its picture, and per column of the picture how high the ground in front of a depth reaches."""
+
+    camera: _Camera
+    right_m: FloatArray  # (C,)
+    near_m: FloatArray  # (C,) where a column enters the block
+    far_m: FloatArray
+    horizon_m: FloatArray  # (D, C): highest screen position up to that depth
+    image: FloatArray  # (H, C, 4)
+    screen: tuple[float, float, float, float]  # left, right, bottom, top
+
+    def visible(self, positions_m: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return which of positions (..., 3) no ground hides."""
+        right, away = self.camera.turn(positions_m)
+        depths, columns = self.horizon_m.shape
+        step = self.right_m[1] - self.right_m[0]
+        column = np.clip(np.round((right - self.right_m[0]) / step).astype(int), 0, columns - 1)
+        near, far = self.near_m[column], self.far_m[column]
+        depth = np.floor((away - near) / np.maximum(far - near, 1e-9) * (depths - 1)).astype(int) - 2
+        horizon = self.horizon_m[np.clip(depth, 0, depths - 1), column]
+        return np.asarray((depth < 0) | (self.camera.up(away, positions_m[..., 2]) >= horizon - step))
+
+
+def space_view(facts: Facts, shapes: Sequence[Shape]) -> Figure:
+    """Draw terrain, obstacles and paths as seen from the air."""
+    block, ground = _draw_block(facts, shapes)
+    left, right, bottom, top = block.screen
+    height_in = style.WIDTH_IN * (top - bottom) / (right - left)
+    figure = style.new_figure(height_in)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_axis_off()
+    axes.imshow(block.image, extent=block.screen, origin="lower", interpolation="bilinear", aspect="auto", zorder=0)
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    labels = Labels(axes)
+    _draw_fence(axes, facts, block, ground)
+    _draw_shapes(axes, facts, block, shapes)
+    for v in facts.vehicles:
+        _draw_vehicle(axes, facts, block, v)
+        labels.avoid_line(block.camera.project(v.plan.path_m))
+    _label(labels, axes, facts, block, shapes)
+    _compass(axes, block, ground)
+    return figure
+
+
+def _draw_block(facts: Facts, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
+    box = map_box(facts, shapes)
+    ground = sample_ground(facts.scene.terrain, box, _GROUND_CELLS)
+    sea = any(o.kind == "marine" for o in facts.scene.mission.obstacles)
+    colours = relief_colours(ground, sea=sea)
+    known = ground.height_amsl_m[np.isfinite(ground.height_amsl_m)]
+    low = float(known.min()) if known.size else 0.0
+    heights = np.where(np.isfinite(ground.height_amsl_m), ground.height_amsl_m, low)
+    west, south, east, north = box
+    across = math.hypot(east - west, north - south)
+    highest = max(float(heights.max()), *(float(v.plan.path_m[:, 2].max()) for v in facts.vehicles))
+    exaggeration = _exaggeration(highest - low, across)
+    base = low - 0.035 * across / exaggeration
+    camera = _Camera(np.array([(west + east) / 2, (south + north) / 2]), base, exaggeration)
+
+    corners = np.array([[west, south], [east, south], [east, north], [west, north]])
+    right_corner, away_corner = camera.turn(corners)
+    right = np.linspace(right_corner.min(), right_corner.max(), _COLUMNS)
+    near, far = _block_edges(right_corner, away_corner, right)
+    away = near + (far - near) * np.linspace(0.0, 1.0, _DEPTHS)[:, None]
+    sin, cos = math.sin(_AZIMUTH_RAD), math.cos(_AZIMUTH_RAD)
+    x = right * cos + away * sin + camera.middle_m[0]
+    y = -right * sin + away * cos + camera.middle_m[1]
+    at = [
+        (y - south) / (north - south) * (len(ground.y_m) - 1),
+        (x - west) / (east - west) * (len(ground.x_m) - 1),
+    ]
+    screen_up = camera.up(away, map_coordinates(heights, at, order=1, mode="nearest"))
+    horizon = np.maximum.accumulate(screen_up, axis=0)
+
+    tallest = [camera.project(v.plan.path_m)[:, 1].max() for v in facts.vehicles]
+    step = right[1] - right[0]
+    bottom = float(camera.up(near, np.array(base)).min()) - 3 * step
+    top = max(float(horizon[-1].max()), *map(float, tallest)) + 0.045 * (right[-1] - right[0])
+    rows = np.arange(bottom, top, step)
+    image = np.zeros((rows.size, _COLUMNS, 4))
+    texture = np.stack([map_coordinates(colours[..., k], at, order=1, mode="nearest") for k in range(3)], axis=-1)
+    foot = camera.up(near, np.full(near.shape, base))
+    front = int(np.argmin(away_corner))
+    for c in range(_COLUMNS):
+        first, rise, last = np.searchsorted(rows, [foot[c], horizon[0, c], horizon[-1, c]])
+        seen = np.searchsorted(horizon[:, c], rows[rise:last])
+        image[rise:last, c, :3] = texture[np.minimum(seen, _DEPTHS - 1), c]
+        image[first:rise, c, :3] = _SKIRTS[int(right[c] > right_corner[front])]
+        image[first:last, c, 3] = 1.0
+    screen = (float(right[0]), float(right[-1]), bottom, float(rows[-1] + step))
+    return _Block(camera, right, near, far, horizon, image, screen), ground
+
+
+def _exaggeration(relief_m: float, across_m: float) -> float:
+    """Return a round factor that keeps heights readable: low relief is stretched, high relief flattened."""
+    relief_m = max(relief_m, 1.0)
+    stretched = min(max(0.14 * across_m / relief_m, 1.0), 3.0, 0.4 * across_m / relief_m)
+    return round(stretched * 2) / 2 if stretched >= 1.0 else max(round(stretched * 20) / 20, 0.05)
+
+
+def _block_edges(right_corner: FloatArray, away_corner: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where the columns enter and leave the rectangle with these corners."""
+    near, far = np.full(right.shape, np.inf), np.full(right.shape, -np.inf)
+    for i in range(4):
+        a, b = sorted((i, (i + 1) % 4), key=lambda k: float(right_corner[k]))
+        on = (right >= right_corner[a]) & (right <= right_corner[b])
+        away = np.interp(right, right_corner[[a, b]], away_corner[[a, b]])
+        near = np.where(on, np.minimum(near, away), near)
+        far = np.where(on, np.maximum(far, away), far)
+    return near, far
+
+
+def _draw_fence(axes: Axes, facts: Facts, block: _Block, ground: Ground) -> None:
+    """Draw the fence's foot along the ground, where it runs through the block."""
+    fence = facts.scene.space.fence
+    for begin, end in zip(fence, np.roll(fence, -1, axis=0), strict=True):
+        line = np.linspace(begin, end, 240)
+        line = line[
+            (line[:, 0] > ground.x_m[0]) & (line[:, 0] < ground.x_m[-1])
+            & (line[:, 1] > ground.y_m[0]) & (line[:, 1] < ground.y_m[-1])
+        ]  # fmt: skip
+        if len(line) > 1:
+            foot = np.column_stack([line, facts.scene.terrain.height_amsl_m(line[:, 0], line[:, 1])])
+            _draw_line(axes, block, foot, "#1a6b3c", 1.2, zorder=3, hidden=False)
+
+
+def _draw_shapes(axes: Axes, facts: Facts, block: _Block, shapes: Sequence[Shape]) -> None:
+    cap = max(float(v.plan.path_m[:, 2].max()) for v in facts.vehicles)
+    polygons: list[tuple[float, FloatArray, tuple[float, ...]]] = []
+    for shape in shapes:
+        colour = style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL)
+        if shape.kind in ("cable", "conductor"):
+            _draw_line(axes, block, _subdivide(shape.axis_m), colour, 1.3 if shape.kind == "cable" else 0.8, zorder=5)
+            continue
+        centre = shape.centre_m
+        ground = float(facts.scene.terrain.height_amsl_m(centre[:1], centre[1:])[0])
+        if shape.kind == "tower":
+            stem = np.array([[*centre, ground], [*centre, shape.high_m]])
+            _draw_line(axes, block, stem, colour, 1.4, zorder=5)
+            continue
+        found = facets(shape, ground if math.isfinite(ground) else block.camera.base_m, cap)
+        for facet in found:
+            polygons += _shaded(block, facet, colour, 0.34 if shape.hard else 0.15)
+    polygons.sort(key=lambda entry: -entry[0])
+    if polygons:
+        collection = PolyCollection(
+            [outline for _, outline, _ in polygons], facecolors=[colour for _, _, colour in polygons],
+            edgecolors="none", zorder=4,
+        )  # fmt: skip
+        axes.add_collection(collection)
+
+
+def _shaded(
+    block: _Block, facets_m: FloatArray, colour: str, alpha: float
+) -> list[tuple[float, FloatArray, tuple[float, ...]]]:
+    """Return those of facets (F, N, 3) that are seen: depth, outline on the screen and colour of each."""
+    screen = block.camera.project(facets_m)
+    turned = np.roll(screen, -1, axis=1)
+    towards = (screen[..., 0] * turned[..., 1] - turned[..., 0] * screen[..., 1]).sum(axis=1) > 0.0
+    middle = facets_m.mean(axis=1)
+    seen = towards & block.visible(middle)
+    normal = np.cross(facets_m[:, 1] - facets_m[:, 0], facets_m[:, 2] - facets_m[:, 0])
+    light = 0.78 + 0.3 * (normal @ _LIGHT) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
+    shades = np.clip(np.array(to_rgb(colour)) * light[:, None] + 0.08, 0.0, 1.0)
+    depth = block.camera.turn(middle)[1]
+    return [(float(depth[i]), screen[i], (*shades[i], alpha)) for i in np.flatnonzero(seen)]
+
+
+def _draw_vehicle(axes: Axes, facts: Facts, block: _Block, v: VehicleFacts) -> None:
+    colour = style.vehicle_colour(v.index)
+    path = v.plan.path_m
+    below = path.copy()
+    below[:, 2] = facts.scene.terrain.height_amsl_m(path[:, 0], path[:, 1])
+    seen = block.visible(path) & block.visible(below)
+    top, foot = block.camera.project(path), block.camera.project(below)
+    both = seen[:-1] & seen[1:]
+    curtain = [np.concatenate([a, b[::-1]]) for a, b in zip(_runs(top, both), _runs(foot, both), strict=True)]
+    axes.add_collection(PolyCollection(curtain, facecolors=colour, alpha=0.13, edgecolors="none", zorder=6))
+    _draw_line(axes, block, below, style.INK, 0.7, zorder=6.1, alpha=0.45, hidden=False)
+    home = np.array([v.plan.home_m, path[0]])
+    _draw_line(axes, block, home, colour, 1.2, zorder=7)
+    _draw_line(axes, block, path, colour, 2.1, zorder=7, casing=True)
+    if v.flown:
+        track = v.flown.en_route.position_m
+        _draw_line(axes, block, track[:: max(1, len(track) // 1500)], style.INK, 0.6, zorder=9, hidden=False)
+    places = block.camera.project(np.array([v.plan.home_m, path[-1]]))
+    axes.plot(
+        *places[0], marker="s", markersize=5, color="white", markeredgecolor=colour, markeredgewidth=1.6, zorder=10
+    )
+    axes.plot(
+        *places[1], marker="o", markersize=7, color=colour, markeredgecolor="white", markeredgewidth=1.1, zorder=10
+    )
+
+
+def _draw_line(
+    axes: Axes, block: _Block, line_m: FloatArray, colour: str, width: float, *, zorder: float, alpha: float = 1.0,
+    casing: bool = False, hidden: bool = True,
+) -> None:  # fmt: skip
+    """Draw a line in space: full where it is seen, faint (or not at all) where the ground hides it."""
+    screen, seen = block.camera.project(line_m), block.visible(line_m)
+    both = seen[:-1] & seen[1:]
+    shown = list(_runs(screen, both))
+    if casing:
+        axes.add_collection(
+            LineCollection(shown, colors="white", linewidths=width + 1.5, alpha=0.85, zorder=zorder - 0.1)
+        )
+    axes.add_collection(LineCollection(shown, colors=colour, linewidths=width, alpha=alpha, zorder=zorder))
+    if hidden:
+        behind = list(_runs(screen, ~both))
+        axes.add_collection(
+            LineCollection(behind, colors=colour, linewidths=0.8 * width, alpha=0.55, linestyles=[(0, (1.0, 1.4))], zorder=zorder)
+        )  # fmt: skip
+
+
+def _runs(line: FloatArray, keep: npt.NDArray[np.bool_]) -> Iterable[FloatArray]:
+    """Yield the pieces of a line (N, 2) whose segments (N - 1,) are kept."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], keep, [False]]).astype(int)))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        yield line[begin : end + 1]
+
+
+def _subdivide(line_m: FloatArray, pieces: int = 24) -> FloatArray:
+    return np.linspace(line_m[0], line_m[-1], pieces + 1)
+
+
+def _label(labels: Labels, axes: Axes, facts: Facts, block: _Block, shapes: Sequence[Shape]) -> None:
+    for places, word in (
+        (np.array([v.plan.path_m[-1] for v in facts.vehicles]), "goals"),
+        (np.array([v.plan.home_m for v in facts.vehicles]), "homes"),
+    ):
+        labels.place_group(
+            [v.name for v in facts.vehicles], [style.vehicle_colour(v.index) for v in facts.vehicles],
+            block.camera.project(places), f"{len(places)} {word}",
+        )  # fmt: skip
+    cap = max(float(v.plan.path_m[:, 2].max()) for v in facts.vehicles)
+    for shape in shapes:
+        if shape.kind in ("tower", "conductor"):
+            continue
+        top = np.array([*shape.centre_m, min(shape.high_m, cap)])
+        if block.visible(top):
+            colour = style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL)
+            labels.place(shape.name, block.camera.project(top), size=7.5, gap_pt=4, color=colour)
+    towers = facts.scene.towers
+    if towers is not None:
+        for i in dict.fromkeys((0, len(towers.names) - 1)):
+            labels.place(towers.names[i], block.camera.project(towers.top_m[i]), size=7, color=style.STEEL)
+
+
+def _compass(axes: Axes, block: _Block, ground: Ground) -> None:
+    """Draw where north is, lying on the ground plane in the lower left corner, and say how heights are stretched."""
+    left, right, bottom, _ = block.screen
+    size = 0.045 * (right - left)
+    flat = math.sin(_ELEVATION_RAD)
+    turn = np.array(
+        [[math.cos(_AZIMUTH_RAD), -math.sin(_AZIMUTH_RAD)], [math.sin(_AZIMUTH_RAD), math.cos(_AZIMUTH_RAD)]]
+    )
+    arrow = np.array([[0.0, 1.0], [-0.38, -0.7], [0.0, -0.35], [0.38, -0.7]]) @ turn.T * (size, size * flat)
+    middle = np.array([left + 1.4 * size, bottom + 1.6 * size])
+    axes.add_patch(Polygon(middle + arrow, facecolor=style.INK, linewidth=0, zorder=20))
+    tip = middle + 1.55 * (np.array([0.0, 1.0]) @ turn.T * (size, size * flat))
+    axes.text(*tip, "N", fontsize=8, fontweight="bold", ha="center", va="center", zorder=20)
+    words = "seen from the south-south-west"
+    if block.camera.exaggeration != 1.0:
+        words += f", heights times {block.camera.exaggeration:g}"
+    axes.text(0.995, 0.012, words, transform=axes.transAxes, fontsize=7, color=style.MUTED, ha="right", va="bottom")
