@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import rasterio
-from affine import Affine
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.transform import Affine
 from rasterio.windows import Window
 
 from missionplanner import kernels
@@ -139,7 +139,8 @@ def _read(
     _check_datum(crs, name, geoid_undulation_m)
     horizontal = crs.sub_crs_list[0] if crs.is_compound else crs.to_2d()
 
-    to_crs = _Way(frame, horizontal, 0.5 * (dataset.bounds.left + dataset.bounds.right), name)
+    corners = _corners(dataset)
+    to_crs = _Way(frame, horizontal, float(corners[0].mean()), name)
     coordinates = _fit(to_crs, area, dataset.transform, name)
     row, col = (_monomials(*_lattice(area, 65)) @ _cells(coordinates, dataset.transform).T).T
     top, left = (max(0, math.floor(v.min()) - _MARGIN_CELLS) for v in (row, col))
@@ -148,7 +149,7 @@ def _read(
     if bottom - top < 4 or right - left < 4:
         raise MissionError(
             f"terrain.file {name}: expected terrain below the mission, which lies at {_span(*_geo(frame, area))}, "
-            f"got a file of {_span(*to_crs.geo_bounds(dataset.bounds))}"
+            f"got a file of {_span(*to_crs.geo(*corners))}"
         )
     if (bottom - top) * (right - left) > _MAX_CELLS:
         raise MissionError(
@@ -158,7 +159,8 @@ def _read(
 
     window = Window(left, top, right - left, bottom - top)
     heights = _heights_m(dataset, window, metres_per_unit, geoid_undulation_m or 0.0)
-    transform = dataset.transform * Affine.translation(left, top)
+    a, b, c, d, e, f = dataset.transform[:6]
+    transform = Affine(a, b, c + a * left + b * top, d, e, f + d * left + e * top)
     to_cell = _cells(coordinates, transform)
     spacing_m = _spacing_m(to_cell, area)
     return Terrain(
@@ -301,8 +303,8 @@ class _Way:
             across += self._turn * round((self._middle - across[0]) / self._turn)
         return across, along
 
-    def geo_bounds(self, bounds: tuple[float, float, float, float]) -> tuple[FloatArray, FloatArray]:
-        across, along = _lattice(bounds, 5)
+    def geo(self, across: FloatArray, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return latitudes and longitudes of a file's coordinates."""
         lon_deg, lat_deg = self._transformer.transform(across, along, direction="INVERSE")
         return lat_deg, lon_deg
 
@@ -349,6 +351,12 @@ def _monomials(x_m: FloatArray, y_m: FloatArray) -> FloatArray:
 def _lattice(box: tuple[float, float, float, float], count: int) -> tuple[FloatArray, FloatArray]:
     x, y = np.meshgrid(np.linspace(box[0], box[2], count), np.linspace(box[1], box[3], count))
     return x.ravel(), y.ravel()
+
+
+def _corners(dataset: rasterio.DatasetReader) -> tuple[FloatArray, FloatArray]:
+    a, b, c, d, e, f = dataset.transform[:6]
+    col, row = np.array([0.0, 0.0, 1.0, 1.0]) * dataset.width, np.array([0.0, 1.0, 0.0, 1.0]) * dataset.height
+    return a * col + b * row + c, d * col + e * row + f
 
 
 def _spacing_m(to_cell: FloatArray, area: Rectangle) -> float:
