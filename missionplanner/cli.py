@@ -8,15 +8,16 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from missionplanner.errors import InfeasibleError, MissionPlannerError
+from missionplanner.errors import InfeasibleError, MissionError, MissionPlannerError
 
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
     from missionplanner.plan import FleetFlight, FleetPlan
@@ -39,7 +40,9 @@ PlanFolder = Annotated[Path, typer.Argument(metavar="FOLDER", help="plan folder"
 Target = Annotated[Path, typer.Argument(metavar="FOLDER|MISSION", help="plan folder, or mission file to plan first")]
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON on stdout instead of tables")]
 Seed = Annotated[int | None, typer.Option("--seed", min=0, help="seed of the search; default: the mission's")]
-Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="default: out/NAME of the mission")]
+Output = Annotated[
+    Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="default: out/NAME of the mission")
+]
 ConnectUrls = Annotated[str, typer.Option("--connect", metavar="URL[,URL...]", help="links to the vehicles")]
 
 
@@ -99,6 +102,51 @@ def export(folder: PlanFolder, output: Output = None, as_json: AsJson = False) -
     else:
         for path in paths:
             _stdout.print(str(path), soft_wrap=True, highlight=False)
+
+
+@app.command()
+def sim(
+    home: Annotated[str, typer.Option(metavar="LAT,LON,ALT_AMSL_M", help="where the first vehicle stands")],
+    vehicles: Annotated[int, typer.Option(min=1, max=250, help="how many; sysids from 1")] = 1,
+    autopilot: Annotated[Literal["ardupilot", "px4"], typer.Option()] = "ardupilot",
+    vehicle_class: Annotated[Literal["copter", "plane"], typer.Option("--class")] = "copter",
+    spacing_m: Annotated[float, typer.Option(min=0.0, help="distance between homes, eastwards")] = 10.0,
+    connect: Annotated[
+        str | None, typer.Option(metavar="URL", help="all vehicles send there, e.g. udpout:127.0.0.1:14540")
+    ] = None,
+    listen: Annotated[
+        str | None, typer.Option(metavar="URL", help="vehicle i listens on port + 10 (i - 1), e.g. tcp:127.0.0.1:5760")
+    ] = None,
+    speedup: Annotated[float, typer.Option(help="times real time")] = 1.0,
+    seed: Annotated[int, typer.Option(min=0)] = 1,
+) -> None:
+    """Serve simulated vehicles to any ground station until interrupted."""
+    from missionplanner.geodesy import GeoPoint
+    from sim.fleet import SimFleet, connect_fleet, listen_fleet, serve, sim_vehicles
+
+    if (connect is None) == (listen is None):
+        raise MissionError("sim: expected exactly one of --connect and --listen")
+    lat_deg, lon_deg, alt_amsl_m = _home(home)
+    place = GeoPoint(lat_deg, lon_deg, alt_amsl_m)
+    fleet = SimFleet(
+        sim_vehicles(vehicles, place, autopilot=autopilot, vehicle_class=vehicle_class, spacing_m=spacing_m), seed=seed
+    )
+    try:
+        connect_fleet(fleet, connect) if connect is not None else listen_fleet(fleet, str(listen))
+        print(f"serving {vehicles} {autopilot} {vehicle_class}(s) on {connect or listen}; Ctrl-C ends", file=sys.stderr)
+        serve(fleet, speedup)
+    finally:
+        fleet.close()
+
+
+def _home(text: str) -> tuple[float, float, float]:
+    try:
+        lat_deg, lon_deg, alt_amsl_m = (float(part) for part in text.split(","))
+    except ValueError:
+        raise MissionError(f"--home: expected LAT,LON,ALT_AMSL_M, e.g. 47.3977,8.5456,488, got {text!r}") from None
+    if not (abs(lat_deg) <= 84 and abs(lon_deg) <= 180 and math.isfinite(alt_amsl_m)):
+        raise MissionError(f"--home: expected latitude, longitude in degrees and altitude in metres, got {text!r}")
+    return lat_deg, lon_deg, alt_amsl_m
 
 
 @app.command()
@@ -198,7 +246,12 @@ def _show(
 
 
 def _progress() -> Progress:
-    columns = (TextColumn("{task.description:<22}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"), TimeElapsedColumn())
+    columns = (
+        TextColumn("{task.description:<22}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+    )
     return Progress(*columns, console=_stderr, transient=not _stderr.is_terminal)
 
 

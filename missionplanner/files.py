@@ -41,7 +41,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def write_atomic(path: Path, content: str | bytes) -> None:
-    """Write text (UTF-8, ``\\n``) or bytes to ``path``, whole or not at all.
+    """Write text (UTF-8) or bytes to ``path``, whole or not at all.
 
     Raises
     ------

@@ -22,8 +22,9 @@ from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 from missionplanner.mission import Planner
-from missionplanner.path import basis
+from missionplanner.path import basis, length_m
 from missionplanner.scene import VehicleTask
+from missionplanner.search.base import SearchResult
 from missionplanner.search.run import minimise
 from missionplanner.seeds import first_guesses
 from missionplanner.waypoints import fit_waypoints
@@ -60,6 +61,19 @@ class _Curve:
     lower: FloatArray  # (F, 3)
     upper: FloatArray  # (F, 3)
 
+    @property
+    def guesses(self) -> FloatArray:
+        """The candidates' free points in the unit box: (C, 3 F)."""
+        moved = (self.candidates[:, self.free] - self.lower) / (self.upper - self.lower)
+        return moved.reshape(len(moved), -1)
+
+    def paths(self, x: FloatArray) -> FloatArray:
+        """Return the curves (P, S, 3) of points of the unit box (P, 3 F)."""
+        control = np.repeat(self.candidates[:1], len(x), axis=0)
+        control[:, self.free] = self.lower + x.reshape(len(x), -1, 3) * (self.upper - self.lower)
+        paths: FloatArray = np.matmul(self.matrix, control)
+        return paths
+
 
 def find_path(
     task: VehicleTask,
@@ -87,64 +101,62 @@ def find_path(
         No clear path was found; the message names the vehicle and what blocks it.
     """
     corner_m = 0.2 * task.motion.waypoint_radius_m
-    evaluations = settings.population * settings.iterations
     for attempt in range(_ATTEMPTS):
         # the fitted legs may leave the curve by the tolerance and the vehicle cuts its corners: room for both
         extra_m = settings.waypoint_tolerance_m + corner_m * (1 + attempt)
         try:
             sections = _guess_sections(task, space, extra_m)
         except InfeasibleError:
-            if attempt == 0:
-                extra_m = settings.waypoint_tolerance_m
-                sections = _guess_sections(task, space, extra_m)
-            else:
-                break
+            if attempt > 0:
+                break  # there is a way, but no room to hold it closer
+            extra_m = settings.waypoint_tolerance_m
+            sections = _guess_sections(task, space, extra_m)
         curve = _curve(sections, 2**attempt)
         price = price_of(extra_m)
-        span = (curve.upper - curve.lower).ravel()
-
-        def paths(x: FloatArray, curve: _Curve = curve, span: FloatArray = span) -> FloatArray:
-            control = np.repeat(curve.candidates[:1], len(x), axis=0)
-            control[:, curve.free] = (curve.lower.ravel() + x * span).reshape(len(x), -1, 3)
-            return np.matmul(curve.matrix, control)
-
-        done = attempt / _ATTEMPTS
-
-        def report(used: int, _best: float, done: float = done) -> bool:
-            if on_iteration is not None:
-                on_iteration(min(1.0, used / evaluations) if done == 0 else 1.0)
-            return False
-
-        guesses = (curve.candidates[:, curve.free].reshape(len(curve.candidates), -1) - curve.lower.ravel()) / span
-        initial = _around(guesses, settings.population // 2, rng)
-        result = minimise(
-            lambda x: price.total(paths(x)),
-            np.zeros(span.size),
-            np.ones(span.size),
-            algorithm=settings.algorithm,
-            evaluations=evaluations,
-            seed=int(rng.integers(2**63)),
-            population=settings.population,
-            initial=initial,
-            callback=report,
-        )
-        for x in (result.best, guesses[0]):
-            path_m = np.round(paths(x[np.newaxis])[0], 3)
+        result = _search(curve, price, settings, rng, on_iteration if attempt == 0 else None)
+        for x in (result.best, curve.guesses[0]):
+            path_m = np.round(curve.paths(x[np.newaxis])[0], 3)
             waypoints = _flyable_legs(path_m, curve.stops, task, space, settings.waypoint_tolerance_m)
             if waypoints is not None and flown_is_clear(waypoints):
-                terms = price.terms(path_m[np.newaxis])
                 return PlannedPath(
                     path_m=path_m,
                     waypoints_m=waypoints,
-                    length_m=float(np.linalg.norm(np.diff(path_m, axis=0), axis=1).sum()),
+                    length_m=float(length_m(path_m)),
                     cost=float(price.total(path_m[np.newaxis])[0]),
-                    cost_terms={name: float(value[0]) for name, value in terms.items()},
+                    cost_terms={name: float(value[0]) for name, value in price.terms(path_m[np.newaxis]).items()},
                     history=result.history,
                     evaluations=result.evaluations,
                 )
     raise InfeasibleError(
         f"{task.name}: found no path that stays clear by its whole margin, corners included, in {_ATTEMPTS} attempts: "
         "widen the gaps, reduce its safety distances, or move its stops"
+    )
+
+
+def _search(
+    curve: _Curve,
+    price: Price,
+    settings: Planner,
+    rng: np.random.Generator,
+    on_iteration: Callable[[float], None] | None,
+) -> SearchResult:
+    """Return the cheapest member of the family found from its guesses."""
+    evaluations = settings.population * settings.iterations
+
+    def report(used: int, _best: float) -> None:
+        if on_iteration is not None:
+            on_iteration(used / evaluations)
+
+    return minimise(
+        lambda x: price.total(curve.paths(x)),
+        np.zeros(curve.lower.size),
+        np.ones(curve.lower.size),
+        algorithm=settings.algorithm,
+        evaluations=evaluations,
+        seed=int(rng.integers(2**63)),
+        population=settings.population,
+        initial=_around(curve.guesses, settings.population // 2, rng),
+        callback=report,
     )
 
 
@@ -221,9 +233,8 @@ def _curve(sections: list[list[FloatArray]], density: int) -> _Curve:
 
 def _free_points(guess: FloatArray, density: int) -> int:
     """Return how many control points a section gets: more where the way is long or bends."""
-    length_m = float(np.linalg.norm(np.diff(guess, axis=0), axis=1).sum())
     bends = len(guess) - 2
-    return density * max(1, min(4, round(length_m / 400)), min(12, 2 * bends + 1))
+    return density * max(1, min(4, round(float(length_m(guess)) / 400)), min(12, 2 * bends + 1))
 
 
 def _control(polylines: list[FloatArray], counts: list[int]) -> FloatArray:
@@ -249,4 +260,5 @@ def _around(guesses: FloatArray, count: int, rng: np.random.Generator) -> FloatA
     """Return the guesses (C, D) and, up to ``count`` rows, copies of them shaken a little."""
     copies = guesses[np.arange(max(0, count - len(guesses))) % len(guesses)]
     shaken = copies + rng.normal(0.0, 0.05, copies.shape)
-    return np.clip(np.concatenate([guesses, shaken]), 0.0, 1.0)
+    around: FloatArray = np.clip(np.concatenate([guesses, shaken]), 0.0, 1.0)
+    return around

@@ -124,8 +124,8 @@ def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
     scene = build_scene(mission, folder)
     if scene.input_sha256 != record.input_sha256:
         raise MissionError(
-            f"{path}: expected the mission and terrain it was planned for (input_sha256 {record.input_sha256[:12]}...), "
-            f"got others ({scene.input_sha256[:12]}...): plan the mission again"
+            f"{path}: expected the mission and terrain it was planned for (sha256 {record.input_sha256[:12]}...), got "
+            f"others ({scene.input_sha256[:12]}...): plan the mission again"
         )
     names = [task.name for task in scene.tasks]
     if [vehicle.name for vehicle in record.vehicles] != names:
@@ -171,12 +171,12 @@ def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
         return None
     record = _read(path, _FlightRecord, "fly the plan again, or delete the file")
     if [v.name for v in record.vehicles] != [v.name for v in plan.vehicles]:
-        raise MissionError(f"{path}: expected a flight of {', '.join(v.name for v in plan.vehicles)}, got another fleet")
+        raise MissionError(
+            f"{path}: expected a flight of {', '.join(v.name for v in plan.vehicles)}, got another fleet"
+        )
     return FleetFlight(
         tuple(
-            FlownVehicle(
-                v.name, v.sysid, Trajectory(np.array(v.t_s), np.array(v.position_m)), v.arrival_s, v.landed_s
-            )
+            FlownVehicle(v.name, v.sysid, Trajectory(np.array(v.t_s), np.array(v.position_m)), v.arrival_s, v.landed_s)
             for v in record.vehicles
         )
     )
@@ -189,7 +189,7 @@ def _read(path: Path, kind: type[_AnyRecord], remedy: str) -> _AnyRecord:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise MissionError(f"{path}: expected a plan folder with {path.name}, got none: plan a mission first") from None
+        raise MissionError(f"{path}: expected a plan folder, got none there: plan a mission first") from None
     except (OSError, UnicodeDecodeError) as error:
         raise MissionError(f"{path}: could not be read: {error}: {remedy}") from error
     try:

@@ -8,7 +8,8 @@ around the other's flight, or starts later. What is returned has passed every ch
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -36,7 +37,8 @@ _DELAY_S = 15.0
 class Watch(Protocol):
     """Told how the work goes on: the vehicle's name and the share of its search that is done, 0 to 1."""
 
-    def __call__(self, vehicle: str, done: float) -> None: ...
+    def __call__(self, vehicle: str, done: float) -> None:
+        """Take the news."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,9 +121,7 @@ def schedule(
     schedules = []
     for task, path, delay_s, window_s in zip(scene.tasks, paths, delays_s, windows, strict=True):
         low, high = task.limits.speed_min_m_s, task.limits.speed_max_m_s
-        speed_m_s = timing.speed_for_arrival(
-            task.motion, task.home_m, path.waypoints_m, arrival_s - delay_s, low, high
-        )
+        speed_m_s = timing.speed_for_arrival(task.motion, task.home_m, path.waypoints_m, arrival_s - delay_s, low, high)
         schedules.append(Schedule(delay_s, speed_m_s, window_s))
     return schedules, arrival_s
 
@@ -230,9 +230,9 @@ def _flight_around(other: VehiclePlan, conflict: Conflict, task: VehicleTask) ->
     points = other.trajectory.at(times)
     points = points[np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-3])]
     if len(points) == 1:
-        points = np.concatenate([points, points + [0.0, 0.0, 0.1]])
+        points = np.concatenate([points, points + np.array([0.0, 0.0, 0.1])])
     radius_m = max(0.5, conflict.required_m + 1.0 - Margins.of(task.limits).obstacle_m)
-    return [CableSolid(other.name, a, b, radius_m) for a, b in zip(points[:-1], points[1:], strict=True)]
+    return [CableSolid(other.name, a, b, radius_m) for a, b in pairwise(points)]
 
 
 def _with(space: SpaceArrays, solids: Sequence[CableSolid]) -> SpaceArrays:

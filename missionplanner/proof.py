@@ -36,8 +36,8 @@ class Conflict:
 
     def __str__(self) -> str:
         return (
-            f"{self.names[0]} and {self.names[1]} come within {self.distance_m:.1f} m of each other at {self.t_s:.0f} s, "
-            f"closer than the {self.required_m:g} m of separation and tracking errors"
+            f"{self.names[0]} and {self.names[1]} come within {self.distance_m:.1f} m of each other at "
+            f"{self.t_s:.0f} s, closer than the {self.required_m:g} m of separation and tracking errors"
         )
 
 
@@ -64,8 +64,8 @@ def unsafe(scene: Scene, plan: FleetPlan) -> list[str]:
         airborne_s = float(vehicle.trajectory.t_s[-1]) - vehicle.start_delay_s
         if airborne_s > task.limits.endurance_s:
             reasons.append(
-                f"{vehicle.name}: flies {airborne_s:.0f} s, longer than its endurance of {task.limits.endurance_s:g} s: "
-                "give it fewer stops, a higher speed or a later start"
+                f"{vehicle.name}: flies {airborne_s:.0f} s, longer than its endurance of "
+                f"{task.limits.endurance_s:g} s: give it fewer stops, a higher speed or a later start"
             )
     if plan.separation is not None and not plan.separation.ok:
         c = plan.separation
@@ -97,9 +97,7 @@ def _separation(pair: Conflict | None, trajectories: list[Trajectory]) -> Cleara
     if pair is None:
         return None
     x, y, z = trajectories[pair.first].at(pair.t_s)
-    return Clearance(
-        pair.distance_m, pair.required_m, " - ".join(pair.names), (float(x), float(y), float(z)), pair.t_s
-    )
+    return Clearance(pair.distance_m, pair.required_m, " - ".join(pair.names), (float(x), float(y), float(z)), pair.t_s)
 
 
 def _where(plan: FleetPlan, clearance: Clearance) -> str:

@@ -8,6 +8,7 @@ that stay within a tolerance of it, every one of them clear by the vehicle's who
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -38,7 +39,7 @@ def fit_waypoints(
         Judges candidate legs. Only legs of a shortest chain are asked for: the judgement is the dear part.
     """
     waypoints = [path_m[:1]]
-    for first, last in zip(stops[:-1], stops[1:], strict=True):
+    for first, last in pairwise(stops):
         section = np.ascontiguousarray(path_m[first : last + 1])
         chain = _fewest_clear_legs(section, tolerance_m, legs_clear)
         if chain is None:
