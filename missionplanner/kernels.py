@@ -5,7 +5,7 @@ distances (negative inside), so each changes by at most one metre per metre flow
 distances *between* samples rests on that.
 """
 
-# ruff: noqa: PLR0917  (kernels take raw arrays: many arguments are their nature)
+
 from __future__ import annotations
 
 import math
@@ -17,7 +17,9 @@ from numba import njit
 
 FloatArray = npt.NDArray[np.float64]
 
-kernel = njit(cache=True, error_model="numpy")  # divisions by zero are guarded where they can occur
+# Divisions by zero are guarded where they can occur. Integer arguments are never literals: those
+# would compile a function anew (hence 0 * n).
+kernel = njit(cache=True, error_model="numpy")
 
 CYLINDER, CONE, RADAR, MARINE, PRISM, CABLE = range(6)
 
@@ -241,8 +243,9 @@ def inside_distance(space: SpaceArrays, x: float, y: float, z: float) -> float:
     """Return how far a point is inside area and fence (polygon and top), negative outside; 1-Lipschitz."""
     area = space.area
     d: float = min(x - area[0], area[2] - x, y - area[1], area[3] - y)
-    if space.fence.shape[0] > 0:
-        d = min(d, -polygon_distance(space.fence, 0, space.fence.shape[0], x, y))
+    count = space.fence.shape[0]
+    if count > 0:
+        d = min(d, -polygon_distance(space.fence, 0 * count, count, x, y))
         d = min(d, space.fence_top_amsl_m - z)
     return d
 
@@ -402,34 +405,6 @@ def _leg_inside(space: SpaceArrays, leg: FloatArray, enough: float, refuse: floa
 
 
 @kernel
-def leg_clearance(space: SpaceArrays, leg: FloatArray, step_m: float, out: FloatArray) -> None:
-    """Write one row of :func:`legs_clearance` for one leg (2, 3)."""
-    ex = leg[1, 0] - leg[0, 0]
-    ey = leg[1, 1] - leg[0, 1]
-    ez = leg[1, 2] - leg[0, 2]
-    pieces = max(1, math.ceil(math.sqrt(ex * ex + ey * ey) / step_m))
-    out[HEIGHT_MIN] = np.inf
-    out[HEIGHT_MIN_AT] = 0.0
-    out[HEIGHT_MAX] = -np.inf
-    for k in range(pieces + 1):
-        s = k / pieces
-        height = leg[0, 2] + s * ez - terrain_height(space.terrain, leg[0, 0] + s * ex, leg[0, 1] + s * ey)
-        if math.isnan(height):
-            out[HEIGHT_MIN] = -np.inf
-            out[HEIGHT_MIN_AT] = s
-            out[HEIGHT_MAX] = np.inf
-            break
-        out[HEIGHT_MAX] = max(out[HEIGHT_MAX], height)
-        if height < out[HEIGHT_MIN]:
-            out[HEIGHT_MIN] = height
-            out[HEIGHT_MIN_AT] = s
-    out[OBSTACLE], out[OBSTACLE_AT], out[OBSTACLE_INDEX] = _leg_obstacle(space.obstacles, leg, _FAR_M, -np.inf)
-    if out[OBSTACLE_INDEX] < 0:
-        out[OBSTACLE] = np.inf
-    out[FENCE], out[FENCE_AT] = _leg_inside(space, leg, _FAR_M, -np.inf)
-
-
-@kernel
 def legs_clearance(space: SpaceArrays, legs: FloatArray, step_m: float) -> FloatArray:
     """Return what each straight leg keeps clear of, (N, CLEARANCE_COLUMNS), for legs (N, 2, 3).
 
@@ -437,10 +412,34 @@ def legs_clearance(space: SpaceArrays, legs: FloatArray, step_m: float) -> Float
     missing). Distances to hard obstacles (inf and index -1: none) and inside area and fence are lower bounds for the
     whole leg: within 0.1 mm for convex solids, 0.03 m and 1 % for other prisms and the fence.
     """
-    out = np.empty((legs.shape[0], CLEARANCE_COLUMNS))
+    table = np.empty((legs.shape[0], CLEARANCE_COLUMNS))
     for n in range(legs.shape[0]):
-        leg_clearance(space, legs[n], step_m, out[n])
-    return out
+        leg = legs[n]
+        out = table[n]
+        ex = leg[1, 0] - leg[0, 0]
+        ey = leg[1, 1] - leg[0, 1]
+        ez = leg[1, 2] - leg[0, 2]
+        pieces = max(1, math.ceil(math.sqrt(ex * ex + ey * ey) / step_m))
+        out[HEIGHT_MIN] = np.inf
+        out[HEIGHT_MIN_AT] = 0.0
+        out[HEIGHT_MAX] = -np.inf
+        for k in range(pieces + 1):
+            s = k / pieces
+            height = leg[0, 2] + s * ez - terrain_height(space.terrain, leg[0, 0] + s * ex, leg[0, 1] + s * ey)
+            if math.isnan(height):
+                out[HEIGHT_MIN] = -np.inf
+                out[HEIGHT_MIN_AT] = s
+                out[HEIGHT_MAX] = np.inf
+                break
+            out[HEIGHT_MAX] = max(out[HEIGHT_MAX], height)
+            if height < out[HEIGHT_MIN]:
+                out[HEIGHT_MIN] = height
+                out[HEIGHT_MIN_AT] = s
+        out[OBSTACLE], out[OBSTACLE_AT], out[OBSTACLE_INDEX] = _leg_obstacle(space.obstacles, leg, _FAR_M, -np.inf)
+        if out[OBSTACLE_INDEX] < 0:
+            out[OBSTACLE] = np.inf
+        out[FENCE], out[FENCE_AT] = _leg_inside(space, leg, _FAR_M, -np.inf)
+    return table
 
 
 @kernel
@@ -634,16 +633,11 @@ def hiding_step(reach: float) -> float:
 
 
 @kernel
-def _pieces(hop: float, step: float) -> int:
-    return max(1, math.ceil(hop / step))
-
-
-@kernel
 def _slack(space: SpaceArrays, i: int, reach: float, step: float, x: float, y: float, z: float) -> float:
-    """How far a point is beyond ``reach`` of solid ``i`` (far off: at least how far); of the fence for i = -1."""
-    if i < 0:
-        return inside_distance(space, x, y, z) - reach
+    """How far a point is beyond ``reach`` of solid ``i`` (far off: at least how far); of the fence for i = O."""
     o = space.obstacles
+    if i == o.kind.shape[0]:
+        return inside_distance(space, x, y, z) - reach
     dx = x - o.bound[i, 0]
     dy = y - o.bound[i, 1]
     outer: float = o.bound[i, 2] + reach
@@ -655,62 +649,45 @@ def _slack(space: SpaceArrays, i: int, reach: float, step: float, x: float, y: f
 
 @kernel
 def _depth_integral(
-    path: FloatArray,
-    hop: FloatArray,
-    first: int,
-    last: int,
-    space: SpaceArrays,
-    i: int,
-    reach: float,
-    step: float,
-    squared: bool,
+    path: FloatArray, hop: FloatArray, first: int, last: int, space: SpaceArrays, i: int, reach: float, step: float
 ) -> float:
-    """Integral from sample ``first`` to ``last`` of the depth (or its square) within ``reach`` of solid ``i``.
+    """Integral from sample ``first`` to ``last`` of the depth within ``reach`` of solid ``i`` (soft: squared).
 
     The trapezoidal rule on pieces of at most ``step``, exactly, though most points are never looked at: a distance of
-    d beyond reach means no depth for the next d metres of path. For i = -1, depth into the margin of fence and area.
+    d beyond reach means no depth for the next d metres of path. For i = O, depth into the margin of fence and area.
     """
+    squared = i < space.obstacles.kind.shape[0] and not space.obstacles.hard[i]
     total = 0.0
-    before = 0.0  # length of the piece before the point
     skip = 0.0  # metres of path without depth, from sample k on
-    k = first
-    while k < last:
-        if skip >= hop[k]:
-            skip -= hop[k]
-            before = -1.0
-            k += 1
+    before = 0.0  # length of the piece before the point
+    for k in range(first, last + 1):
+        ahead = hop[k] if k < last else 0.0
+        if skip > 0.0 and skip >= ahead:
+            skip -= ahead
             continue
-        pieces = _pieces(hop[k], step)
-        piece = hop[k] / pieces
-        j = int(skip / piece)
+        pieces = max(1, math.ceil(ahead / step))
+        piece = ahead / pieces
+        j = int(skip / piece) if skip > 0.0 else 0
         if j > 0:
             before = piece
-        elif before < 0.0:
-            before = hop[k - 1] / _pieces(hop[k - 1], step)
+        elif k > first:
+            before = hop[k - 1] / max(1, math.ceil(hop[k - 1] / step))
+        ex = path[k + 1, 0] - path[k, 0] if k < last else 0.0
+        ey = path[k + 1, 1] - path[k, 1] if k < last else 0.0
+        ez = path[k + 1, 2] - path[k, 2] if k < last else 0.0
+        skip = 0.0
         while j < pieces:
             s = j / pieces
-            slack = _slack(
-                space,
-                i,
-                reach,
-                step,
-                path[k, 0] + s * (path[k + 1, 0] - path[k, 0]),
-                path[k, 1] + s * (path[k + 1, 1] - path[k, 1]),
-                path[k, 2] + s * (path[k + 1, 2] - path[k, 2]),
-            )
-            if slack > 0.0:
-                skip = slack - (pieces - j) * piece
-                j += max(1, int(min(slack, hop[k]) / piece))
-            else:
+            slack = _slack(space, i, reach, step, path[k, 0] + s * ex, path[k, 1] + s * ey, path[k, 2] + s * ez)
+            skip = max(0.0, slack - (pieces - j) * piece)
+            if slack <= 0.0:
                 total += 0.5 * (before + piece) * (slack * slack if squared else -slack)
-                skip = 0.0
                 j += 1
+            elif slack < ahead:
+                j += max(1, int(slack / piece))
+            else:
+                j = pieces
             before = piece
-        skip = max(0.0, skip)
-        k += 1
-    if skip <= 0.0:
-        slack = min(0.0, _slack(space, i, reach, step, path[last, 0], path[last, 1], path[last, 2]))
-        total += 0.5 * max(0.0, before) * (slack * slack if squared else -slack)
     return total
 
 
@@ -761,7 +738,7 @@ def _space_terms(
         for b in range(count):
             if not _apart(blocks, b, o.bound, i, reach):
                 first = b * BLOCK
-                depth += _depth_integral(path, hop, first, min(first + BLOCK, last), space, i, reach, step, not hard)
+                depth += _depth_integral(path, hop, first, min(first + BLOCK, last), space, i, reach, step)
         if depth > 0.0:
             if not hard:
                 out[RADAR_ZONE] += depth / (radius * radius * q.route_length_m)
@@ -772,7 +749,9 @@ def _space_terms(
             else:
                 out[OBSTACLES] += depth / scale
     scale = max(1.0, q.fence_m) * q.route_length_m
-    out[FENCED] = _depth_integral(path, hop, 0, last, space, -1, q.fence_m, hiding_step(q.fence_m), False) / scale
+    fence = o.kind.shape[0]
+    depth = _depth_integral(path, hop, 0 * last, last, space, fence, q.fence_m, hiding_step(q.fence_m))
+    out[FENCED] = depth / scale
 
 
 @kernel
@@ -847,24 +826,6 @@ def _fellow_term(path: FloatArray, fellows: FloatArray, radius: float, hop: Floa
 
 
 @kernel
-def _piece_distance2(path: FloatArray, k: int, x: float, y: float, z: float) -> float:
-    """Squared distance from a point to the piece of the path after sample k."""
-    wx = x - path[k, 0]
-    wy = y - path[k, 1]
-    wz = z - path[k, 2]
-    ex = path[k + 1, 0] - path[k, 0]
-    ey = path[k + 1, 1] - path[k, 1]
-    ez = path[k + 1, 2] - path[k, 2]
-    ee = ex * ex + ey * ey + ez * ez
-    s = min(1.0, max(0.0, (wx * ex + wy * ey + wz * ez) / ee)) if ee > 0.0 else 0.0
-    wx -= s * ex
-    wy -= s * ey
-    wz -= s * ez
-    d2: float = wx * wx + wy * wy + wz * wz
-    return d2
-
-
-@kernel
 def _path_distance(path: FloatArray, hop: FloatArray, x: float, y: float, z: float) -> float:
     """Least distance from a point to a path."""
     least2 = _FAR_M * _FAR_M
@@ -881,10 +842,15 @@ def _path_distance(path: FloatArray, hop: FloatArray, x: float, y: float, z: flo
         dz = path[k, 2] - z
         spare = math.sqrt(dx * dx + dy * dy + dz * dz) - least  # so far along the path nothing is nearer than `least`
         if spare < hop[k]:
-            d2 = _piece_distance2(path, k, x, y, z)
-            if d2 < least2:
-                least2 = d2
-                least = math.sqrt(d2)
+            ex = path[k + 1, 0] - path[k, 0]
+            ey = path[k + 1, 1] - path[k, 1]
+            ez = path[k + 1, 2] - path[k, 2]
+            ee = ex * ex + ey * ey + ez * ez
+            s = min(1.0, max(0.0, -(dx * ex + dy * ey + dz * ez) / ee)) if ee > 0.0 else 0.0
+            dx += s * ex
+            dy += s * ey
+            dz += s * ez
+            least = min(least, math.sqrt(dx * dx + dy * dy + dz * dz))
             k += 1
         else:
             while k < hop.shape[0] and spare >= hop[k]:
@@ -909,29 +875,6 @@ def _inspection_term(
     return missed / whole if whole > 0.0 else 0.0
 
 
-@kernel
-def price_path(
-    path: FloatArray,
-    space: SpaceArrays,
-    q: PriceSettings,
-    tower_tops: FloatArray,
-    tower_weights: FloatArray,
-    fellows: FloatArray,
-    hop: FloatArray,
-    blocks: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Write one row of :func:`price_paths` for one path (S, 3); ``hop`` (S - 1,) and ``blocks`` are scratch."""
-    _shape_terms(path, q, hop, out)
-    if not math.isfinite(out[VOYAGE]):  # NaN or overflow: never the best, and no walk along it would end
-        out[:] = np.inf
-        return
-    _height_terms(path, space.terrain, q, hop, out)
-    _space_terms(path, space, q, hop, blocks, out)
-    out[FELLOWS] = _fellow_term(path, fellows, q.separation_m, hop, out[VOYAGE] * q.route_length_m)
-    out[INSPECTION] = _inspection_term(path, tower_tops, tower_weights, q.tower_range_m, hop)
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
 def price_paths(
     paths: FloatArray,
@@ -950,4 +893,13 @@ def price_paths(
     hop = np.empty(paths.shape[1] - 1)
     blocks = np.empty(((paths.shape[1] + BLOCK - 2) // BLOCK + 1, 6))
     for p in range(paths.shape[0]):
-        price_path(paths[p], space, q, tower_tops, tower_weights, fellows, hop, blocks, out[p])
+        path = paths[p]
+        terms = out[p]
+        _shape_terms(path, q, hop, terms)
+        if not math.isfinite(terms[VOYAGE]):  # NaN or overflow: never the best, and no walk along it would end
+            terms[:] = np.inf
+            continue
+        _height_terms(path, space.terrain, q, hop, terms)
+        _space_terms(path, space, q, hop, blocks, terms)
+        terms[FELLOWS] = _fellow_term(path, fellows, q.separation_m, hop, terms[VOYAGE] * q.route_length_m)
+        terms[INSPECTION] = _inspection_term(path, tower_tops, tower_weights, q.tower_range_m, hop)

@@ -3,13 +3,13 @@
 Vectorised over the points of a path, a plain loop over paths and solids. Every point is looked at.
 """
 
-# ruff: noqa: PLR0917
 from __future__ import annotations
 
 import math
 from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from missionplanner.clearance import Margins
 from missionplanner.cost import TERMS
@@ -101,17 +101,14 @@ def inside_distance(space: SpaceArrays, points: FloatArray) -> FloatArray:
     return distance
 
 
-def refined(path: FloatArray, pieces: FloatArray) -> tuple[FloatArray, FloatArray]:
+def refined(path: FloatArray, pieces: npt.NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
     """Return the path with every leg cut into its number of equal pieces, and the trapezoidal rule's weights."""
-    points, weights = [path[:1]], [np.zeros(1)]
-    for a, b, n in zip(path[:-1], path[1:], pieces, strict=True):
-        s = np.arange(1, n + 1)[:, None] / n
-        points.append(a + s * (b - a))
-        w = np.full(n, np.linalg.norm(b - a) / n)
-        weights[-1][-1] += w[0] / 2
-        w[-1] /= 2
-        weights.append(w)
-    return np.concatenate(points), np.concatenate(weights)
+    step = np.diff(path, axis=0)
+    leg = np.repeat(np.arange(len(pieces)), pieces)
+    share = (np.arange(len(leg)) - (np.cumsum(pieces) - pieces)[leg] + 1) / pieces[leg]
+    points = np.concatenate([path[:1], path[leg] + share[:, None] * step[leg]])
+    length = (np.linalg.norm(step, axis=1) / pieces)[leg]
+    return points, (np.append(length, 0.0) + np.append(0.0, length)) / 2
 
 
 def price_terms(
