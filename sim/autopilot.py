@@ -191,8 +191,12 @@ class Autopilot:
         if not self.armed or not self.landed or self._stage is not None:
             return math.inf
         has_flown = self._airborne_s > 0.0 and self.mission_state is not MissionState.ACTIVE
-        delay_s = self.personality.landed_disarm_s if has_flown else self.personality.idle_disarm_s
-        return self._idle_since_s + delay_s
+        return self._idle_since_s + (self.personality.landed_disarm_s if has_flown else self._idle_disarm_s)
+
+    @property
+    def _idle_disarm_s(self) -> float:
+        name = self.personality.idle_disarm_parameter
+        return float(self.parameters[name]) if name is not None else math.inf
 
     # -- commands ---------------------------------------------------------------------------------------------------
 
@@ -447,7 +451,7 @@ class Autopilot:
                 self._leave_mission()
                 self._fly([self._descent(self.position_m, -1)], now_s)
             case Behaviour.RTL | Behaviour.LAND:
-                self._idle_since_s = now_s - self.personality.idle_disarm_s
+                self.disarm(now_s)  # it is where it was to go
             case _:
                 self._hold()
 

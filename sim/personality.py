@@ -82,7 +82,7 @@ class Personality:
     takeoff_needs_flight_mode: bool  # NAV_TAKEOFF only in GUIDED (ArduPilot), else it switches mode itself (PX4)
     speed_resets: bool  # DO_CHANGE_SPEED <= 0 restores the default (PX4), else it is ignored
     speed_min_m_s: float  # smaller commanded speeds are ignored
-    idle_disarm_s: float
+    idle_disarm_parameter: str | None  # seconds armed on the ground until it disarms itself; None: never
     landed_disarm_s: float
     cold_start_s: float  # from power-up until it can be armed
     storage_ready_s: float  # from power-up until it takes a mission
@@ -229,8 +229,6 @@ def _check_ardupilot(item: MissionItem) -> int:
     for number, value in enumerate((item.param1, item.param2, item.param3, item.param4), start=1):
         if not math.isfinite(value) and not (math.isnan(value) and number in allowed_nan):
             return int(mavlink.MAV_MISSION_INVALID_PARAM1) + number - 1
-    if not math.isfinite(item.z):
-        return int(mavlink.MAV_MISSION_INVALID_PARAM7)
     return _check_place(item)
 
 
@@ -450,7 +448,7 @@ _ARDUCOPTER = Personality(
     takeoff_needs_flight_mode=True,
     speed_resets=False,
     speed_min_m_s=0.2,
-    idle_disarm_s=10.0,
+    idle_disarm_parameter="DISARM_DELAY",
     landed_disarm_s=0.0,
     cold_start_s=42.0,
     storage_ready_s=7.0,
@@ -463,7 +461,14 @@ _ARDUCOPTER = Personality(
     motion_parameters=_copter_parameters,
     # AUTO_OPTIONS 2: a simulated pilot has no throttle stick to raise before a take-off in AUTO
     parameters=MappingProxyType(
-        {"AUTO_OPTIONS": 2, "DISARM_DELAY": 10, "MIS_RESTART": 0, "RTL_ALT": 1500, "RTL_LOIT_TIME": 5000}
+        {
+            "ARMING_CHECK": 1,
+            "AUTO_OPTIONS": 2,
+            "DISARM_DELAY": 10,
+            "MIS_RESTART": 0,
+            "RTL_ALT": 1500,
+            "RTL_LOIT_TIME": 5000,
+        }
     ),
 )
 _ARDUPLANE = replace(
@@ -472,12 +477,12 @@ _ARDUPLANE = replace(
     type_id=mavlink.MAV_TYPE_FIXED_WING,
     modes=_PLANE_MODES,
     boot_mode="MANUAL",
-    idle_disarm_s=math.inf,
+    idle_disarm_parameter=None,
     landed_disarm_s=20.0,
     cold_start_s=23.0,
     speed_parameter=("AIRSPEED_CRUISE", 1.0),
     motion_parameters=_plane_parameters,
-    parameters=MappingProxyType({"MIS_RESTART": 0, "RTL_ALTITUDE": 100.0, "WP_LOITER_RAD": 60}),
+    parameters=MappingProxyType({"ARMING_CHECK": 1, "MIS_RESTART": 0, "RTL_ALTITUDE": 100.0, "WP_LOITER_RAD": 60}),
 )
 _PX4_COPTER = Personality(
     autopilot="px4",
@@ -498,7 +503,7 @@ _PX4_COPTER = Personality(
     takeoff_needs_flight_mode=False,
     speed_resets=True,
     speed_min_m_s=0.0,
-    idle_disarm_s=10.0,
+    idle_disarm_parameter="COM_DISARM_PRFLT",
     landed_disarm_s=0.0,
     cold_start_s=10.0,
     storage_ready_s=0.0,

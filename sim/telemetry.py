@@ -221,13 +221,14 @@ class Telemetry:
 
     def _heartbeat(self, now_s: float) -> Any:
         autopilot = self._autopilot
+        px4 = autopilot.personality.autopilot == "px4"
+        manual = autopilot.mode.behaviour in (Behaviour.HOLD, Behaviour.TAKEOFF)
         base = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_STABILIZE_ENABLED
-        if autopilot.mode.behaviour in (Behaviour.HOLD, Behaviour.TAKEOFF):
+        if manual or not px4:  # ArduPilot always heeds the sticks
             base |= mavlink.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED
-        else:
+        if not manual:
             base |= mavlink.MAV_MODE_FLAG_GUIDED_ENABLED
-            if autopilot.personality.autopilot == "px4":
-                base |= mavlink.MAV_MODE_FLAG_AUTO_ENABLED
+            base |= mavlink.MAV_MODE_FLAG_AUTO_ENABLED if px4 else 0
         if autopilot.armed:
             base |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
         if now_s < autopilot.ready_s:
@@ -249,7 +250,8 @@ class Telemetry:
     def _sys_status(self, now_s: float) -> Any:
         ready = now_s >= self._autopilot.ready_s
         sensors = _SENSORS | mavlink.MAV_SYS_STATUS_PREARM_CHECK
-        healthy = sensors if ready else _SENSORS & ~mavlink.MAV_SYS_STATUS_AHRS
+        # a fence that is not there is healthy too: ground stations would call it breached
+        healthy = (sensors if ready else _SENSORS & ~mavlink.MAV_SYS_STATUS_AHRS) | mavlink.MAV_SYS_STATUS_GEOFENCE
         percent, voltage_mv, current_ca = self._battery(now_s)
         return mavlink.MAVLink_sys_status_message(
             sensors, sensors, healthy, 100, voltage_mv, current_ca, percent, 0, 0, 0, 0, 0, 0
