@@ -1,0 +1,865 @@
+"""First guesses: taut clear polylines from a coarse graph search, one per way around what is in the way.
+
+A layered grid is laid between start and goal, along the line that joins them. Its moves keep the climb and descent
+limits, so spirals and zig-zags come out by themselves where the climb is too steep; each move is checked exactly, so
+what A* finds is clear however coarse the grid. The path is then drawn taut (legs dropped, corners pulled in and cut),
+every new leg checked the same way. Other ways around come from walls: a half-disc that closes the side on which the
+last path touched something, after which the next path must pass on another side (the partition of Yen, 1971, over
+homotopy classes, doi:10.1287/mnsc.17.11.712).
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from missionplanner import kernels
+from missionplanner.clearance import STEP_M, Margins, legs_clear, legs_within_angles, polyline_legs
+from missionplanner.errors import InfeasibleError
+from missionplanner.geodesy import FloatArray
+from missionplanner.kernels import SpaceArrays
+from missionplanner.vehicle import VehicleLimits
+
+_TIGHT_END_M = 1e-3  # a start or goal that lacks this little (rounding) is taken as it is
+_BOUND_SLACK_M = 2e-4  # distances along legs are lower bounds within 1e-4 m: an end at the margin must still pass
+_NODES_MAX = 1_500_000
+_STEEPEST_RAD = math.radians(89.0)
+_ROUNDS = 30
+_SPARES_M = (0.05, 1.0)  # kept above ground beyond the margin, for what lies between samples
+_HALVINGS = 9
+_CUTS_MAX = 40
+_TAUT_TOLERANCE = 2e-5  # of the section's length: a corner is cut, a round repeated, while that saves more
+
+
+class _Rules(NamedTuple):
+    """What a leg must keep, for the kernels."""
+
+    height_min_m: float
+    height_max_m: float
+    alt_max_m: float
+    obstacle_m: float
+    fence_m: float
+    slope_up: float
+    slope_down: float
+    ground_slope: float  # no ground near is steeper
+
+
+class _Grid(NamedTuple):
+    """Nodes start + u (ux, uy) cell + v (-uy, ux) cell + w layer, for integers u, v, w from the lows."""
+
+    ux: float
+    uy: float
+    cell_m: float
+    layer_m: float
+    u_low: int
+    v_low: int
+    w_low: int
+    u_count: int
+    v_count: int
+    w_count: int
+
+
+class _Nodes(NamedTuple):
+    """What A* knows of the nodes (N,), and its queue, a binary heap."""
+
+    cost: FloatArray
+    parent: npt.NDArray[np.int64]
+    radius: FloatArray  # free of obstacles and fence; NaN: not yet asked, negative: one may not be there
+    closed: npt.NDArray[np.bool_]
+    floor: FloatArray  # of columns: the ground, NaN: not yet asked
+    queue_cost: FloatArray
+    queue_node: npt.NDArray[np.int64]
+
+
+# Wrappers that nobody calls cost a quarter of the compile time.
+_OUTER: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True}
+_INNER: dict[str, Any] = {**_OUTER, "no_cpython_wrapper": True}
+
+# --- kernels -------------------------------------------------------------------------------------------------------
+
+
+@njit(**_INNER)
+def _over_ground(space: SpaceArrays, rules: _Rules, leg: FloatArray) -> bool:
+    """Return whether a leg keeps its height above ground; strides as far as the ground's slope allows."""
+    ex, ey, ez = leg[1, 0] - leg[0, 0], leg[1, 1] - leg[0, 1], leg[1, 2] - leg[0, 2]
+    length = math.sqrt(ex * ex + ey * ey)
+    closing = rules.ground_slope + (abs(ez) / length if length > 0.0 else 0.0)
+    s = 0.0
+    while True:
+        f = s / length if length > 0.0 else 1.0
+        height = leg[0, 2] + f * ez - kernels.terrain_height(space.terrain, leg[0, 0] + f * ex, leg[0, 1] + f * ey)
+        if not rules.height_min_m <= height <= rules.height_max_m:
+            return False
+        if s >= length:
+            return True
+        slack = min(height - rules.height_min_m, rules.height_max_m - height)
+        stride = STEP_M if slack <= STEP_M * closing else slack / closing if closing > 0.0 else length
+        s = min(length, s + stride)
+
+
+@njit(**_INNER)
+def _crosses_wall(walls: FloatArray, leg: FloatArray) -> bool:
+    """Return whether a leg passes through a wall: rows of centre, normal, open direction (3 each), depth, reach."""
+    for n in range(walls.shape[0]):
+        w = walls[n]
+        before = after = 0.0
+        for k in range(3):
+            before += (leg[0, k] - w[k]) * w[3 + k]
+            after += (leg[1, k] - w[k]) * w[3 + k]
+        if (before < 0.0) == (after < 0.0):
+            continue
+        f = before / (before - after)
+        away = square = 0.0
+        for k in range(3):
+            v = leg[0, k] + f * (leg[1, k] - leg[0, k]) - w[k]
+            away += v * w[6 + k]
+            square += v * v
+        if away > -w[9] and square < w[10] * w[10]:
+            return True
+    return False
+
+
+@njit(**_OUTER)
+def _leg_ok(space: SpaceArrays, rules: _Rules, walls: FloatArray, leg: FloatArray, open_air: bool) -> bool:
+    """Return whether a leg keeps all rules and no wall; ``open_air`` says that obstacles and fence are known far."""
+    ex, ey, ez = leg[1, 0] - leg[0, 0], leg[1, 1] - leg[0, 1], leg[1, 2] - leg[0, 2]
+    across = math.sqrt(ex * ex + ey * ey)
+    if ez > rules.slope_up * across or -ez > rules.slope_down * across:
+        return False
+    if _crosses_wall(walls, leg) or not _over_ground(space, rules, leg):
+        return False
+    if open_air:
+        return leg[0, 2] <= rules.alt_max_m and leg[1, 2] <= rules.alt_max_m
+    clear: bool = kernels.leg_is_clear(
+        space, leg, np.inf, -np.inf, np.inf, rules.alt_max_m, rules.obstacle_m, rules.fence_m
+    )
+    return clear
+
+
+@njit(**_INNER)
+def _free_radius(space: SpaceArrays, rules: _Rules, x: float, y: float, z: float, enough: float) -> float:
+    """Return how far one may fly in any direction and keep obstacles and fence; at most ``enough``, negative: not."""
+    o = space.obstacles
+    free = min(enough, kernels.inside_distance(space, x, y, z) - rules.fence_m, rules.alt_max_m - z)
+    for i in range(o.kind.shape[0]):
+        if free < 0.0:
+            break
+        if not o.hard[i]:
+            continue
+        dx, dy = x - o.bound[i, 0], y - o.bound[i, 1]
+        reach = free + rules.obstacle_m + o.bound[i, 2]
+        if reach > 0.0 and dx * dx + dy * dy < reach * reach:
+            free = min(free, kernels.obstacle_distance(o, i, x, y, z) - rules.obstacle_m)
+    return free
+
+
+@njit(**_INNER)
+def _sift_up(q: _Nodes, n: int, key: float, node: int) -> None:
+    """Add an entry to the heap of the first ``n``. Ours, because numba takes seconds over heapq."""
+    while n > 0:
+        up = (n - 1) >> 1
+        if q.queue_cost[up] <= key:
+            break
+        q.queue_cost[n] = q.queue_cost[up]
+        q.queue_node[n] = q.queue_node[up]
+        n = up
+    q.queue_cost[n] = key
+    q.queue_node[n] = node
+
+
+@njit(**_INNER)
+def _sift_down(q: _Nodes, n: int) -> None:
+    """Drop the least entry of the heap of the first ``n + 1``."""
+    key = q.queue_cost[n]
+    node = q.queue_node[n]
+    at = 0
+    while True:
+        child = 2 * at + 1
+        if child >= n:
+            break
+        if child + 1 < n and q.queue_cost[child + 1] < q.queue_cost[child]:
+            child += 1
+        if q.queue_cost[child] >= key:
+            break
+        q.queue_cost[at] = q.queue_cost[child]
+        q.queue_node[at] = q.queue_node[child]
+        at = child
+    q.queue_cost[at] = key
+    q.queue_node[at] = node
+
+
+@njit(**_INNER)
+def _place(grid: _Grid, ends: FloatArray, u: int, v: int, w: int, out: FloatArray, row: int) -> None:
+    """Write the position of a node into a row."""
+    a = (u + grid.u_low) * grid.cell_m
+    b = (v + grid.v_low) * grid.cell_m
+    out[row, 0] = ends[0, 0] + a * grid.ux - b * grid.uy
+    out[row, 1] = ends[0, 1] + a * grid.uy + b * grid.ux
+    out[row, 2] = ends[0, 2] + (w + grid.w_low) * grid.layer_m
+
+
+@njit(**_INNER)
+def _node_radius(
+    space: SpaceArrays, rules: _Rules, floor: FloatArray, column: int, at: FloatArray, enough: float
+) -> float:
+    """Return the free radius of a node at ``at[1]``, negative where one may not be; ``floor`` remembers the ground."""
+    below = floor[column]
+    if math.isnan(below):
+        below = kernels.terrain_height(space.terrain, at[1, 0], at[1, 1])
+        if math.isnan(below):
+            below = np.inf
+        floor[column] = below
+    height = at[1, 2] - below
+    if not rules.height_min_m <= height <= rules.height_max_m:
+        return -1.0
+    radius: float = _free_radius(space, rules, at[1, 0], at[1, 1], at[1, 2], enough)
+    return radius
+
+
+@njit(**_INNER)
+def _to_go(rules: _Rules, goal: FloatArray, leg: FloatArray) -> float:
+    """Return a lower bound of the length from the leg's second point to the goal: straight, or as steep as allowed."""
+    rise = goal[2] - leg[1, 2]
+    across2 = (goal[0] - leg[1, 0]) ** 2 + (goal[1] - leg[1, 1]) ** 2
+    slope = rules.slope_up if rise > 0.0 else rules.slope_down
+    return math.sqrt(rise * rise + max(across2, (rise / slope) ** 2))
+
+
+@njit(**_OUTER)
+def _expand(
+    space: SpaceArrays,
+    rules: _Rules,
+    walls: FloatArray,
+    ends: FloatArray,
+    grid: _Grid,
+    moves: npt.NDArray[np.int64],
+    lengths: FloatArray,
+    nodes: _Nodes,
+    longest_m: float,
+) -> int:
+    """Run A* from ``ends[0]`` to ``ends[1]`` over moves (M, 3) in u, v, w; return the node before the goal, or -1."""
+    nv, nw = grid.v_count, grid.w_count
+    leg = np.empty((2, 3))
+    queued = 1
+    reach_m = lengths.max()
+    best_cost = longest_m
+    last = -1
+    while queued > 0 and nodes.queue_cost[0] < best_cost:
+        node = nodes.queue_node[0]
+        queued -= 1
+        _sift_down(nodes, queued)
+        if nodes.closed[node]:
+            continue
+        nodes.closed[node] = True
+        w = node % nw
+        v = node // nw % nv
+        u = node // nw // nv
+        _place(grid, ends, u, v, w, leg, 0)
+        for k in range(3):
+            leg[1, k] = ends[1, k]
+        near = nodes.cost[node] + _length(leg)
+        if (
+            near < best_cost
+            and abs(leg[1, 0] - leg[0, 0]) + abs(leg[1, 1] - leg[0, 1]) < 4.0 * grid.cell_m
+            and _leg_ok(space, rules, walls, leg, False)
+        ):
+            best_cost = near
+            last = node
+        for m in range(moves.shape[0]):
+            u1 = u + moves[m, 0]
+            v1 = v + moves[m, 1]
+            w1 = w + moves[m, 2]
+            if u1 < 0 or u1 >= grid.u_count or v1 < 0 or v1 >= nv or w1 < 0 or w1 >= nw:
+                continue
+            ahead = (u1 * nv + v1) * nw + w1
+            total = nodes.cost[node] + lengths[m]
+            if nodes.closed[ahead] or total >= nodes.cost[ahead]:
+                continue
+            _place(grid, ends, u1, v1, w1, leg, 1)
+            if math.isnan(nodes.radius[ahead]):
+                nodes.radius[ahead] = _node_radius(space, rules, nodes.floor, u1 * nv + v1, leg, reach_m)
+            radius = nodes.radius[ahead]
+            if radius < 0.0 or queued == nodes.queue_cost.shape[0]:
+                continue
+            if not _leg_ok(space, rules, walls, leg, max(radius, nodes.radius[node]) >= lengths[m]):
+                continue
+            nodes.cost[ahead] = total
+            nodes.parent[ahead] = node
+            _sift_up(nodes, queued, total + _to_go(rules, ends[1], leg), ahead)
+            queued += 1
+    return last
+
+
+@njit(**_INNER)
+def _length(leg: FloatArray) -> float:
+    return math.sqrt((leg[0, 0] - leg[1, 0]) ** 2 + (leg[0, 1] - leg[1, 1]) ** 2 + (leg[0, 2] - leg[1, 2]) ** 2)
+
+
+@njit(**_INNER)
+def _distance(p: FloatArray, i: int, j: int) -> float:
+    return math.sqrt((p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2)
+
+
+@njit(**_INNER)
+def _reach(
+    space: SpaceArrays, rules: _Rules, walls: FloatArray, p: FloatArray, b: int, side: int, cut_m: float, halvings: int
+) -> float:
+    """Return the greatest share f, by halving, for which a leg across the corner at ``p[b]`` is clear.
+
+    With ``cut_m`` 0 the leg runs from the neighbour at ``b - side`` to the point at f of the way to the other; else
+    between the two points f ``cut_m`` from the corner.
+    """
+    leg = np.empty((2, 3))
+    near = cut_m / _distance(p, b - side, b) if cut_m > 0.0 else 1.0
+    far = cut_m / _distance(p, b, b + side) if cut_m > 0.0 else 1.0
+    good, bad = 0.0, 1.0
+    for n in range(halvings + 1):
+        f = 1.0 if n == 0 else 0.5 * (good + bad)
+        g = near * f if cut_m > 0.0 else 1.0
+        for k in range(3):
+            leg[0, k] = p[b, k] + (p[b - side, k] - p[b, k]) * g
+            leg[1, k] = p[b, k] + (p[b + side, k] - p[b, k]) * (far * f)
+        if _leg_ok(space, rules, walls, leg, False):
+            good = f
+            if n == 0:
+                break
+        else:
+            bad = f
+    return good
+
+
+@njit(**_INNER)
+def _move(p: FloatArray, target: int, b: int, c: int, f: float) -> None:
+    """Write the point at share f of the way from point b to point c into a row."""
+    for k in range(3):
+        p[target, k] = p[b, k] + (p[c, k] - p[b, k]) * f
+
+
+@njit(**_OUTER)
+def _taut(space: SpaceArrays, rules: _Rules, walls: FloatArray, p: FloatArray, size: int, tolerance_m: float) -> int:
+    """Draw the path ``p[:size]`` taut in place, while a round saves the tolerance; return its new size.
+
+    Each point slides along its two legs as far as the leg to its other neighbour stays clear, then its corner is cut:
+    by the triangle, no step lengthens the path. Rows beyond ``size`` are room for points that cuts add.
+    """
+    for _ in range(_ROUNDS):
+        gained = 0.0
+        b = 1
+        while b < size - 1:
+            before = _distance(p, b - 1, b) + _distance(p, b, b + 1)
+            bends = before - _distance(p, b - 1, b + 1) > 0.1 * tolerance_m
+            ab = bc = 0.0
+            for cut in range(3):
+                ab, bc = _distance(p, b - 1, b), _distance(p, b, b + 1)
+                if min(ab, bc) < 1e-6:
+                    break
+                side = -1 if cut == 1 else 1
+                cut_m = min(ab, bc) if cut == 2 else 0.0
+                f = _reach(space, rules, walls, p, b, side, cut_m, _HALVINGS if bends else 0)
+                if cut < 2:
+                    _move(p, b, b, b + side, f)
+                    continue
+                ac = _distance(p, b - 1, b + 1)
+                cosine = (ab * ab + bc * bc - ac * ac) / (2.0 * ab * bc)
+                saved = f * cut_m * (2.0 - math.sqrt(max(0.0, 2.0 - 2.0 * cosine)))
+                if saved > tolerance_m and size < p.shape[0]:
+                    for n in range(size, b, -1):
+                        _move(p, n, n - 1, n - 1, 0.0)
+                    size += 1
+                    _move(p, b, b, b - 1, f * cut_m / ab)
+                    _move(p, b + 1, b + 1, b + 2, f * cut_m / bc)
+                    gained += saved
+                    b += 1
+            gained += max(0.0, before - ab - bc)
+            if min(ab, bc) < 1e-6:
+                size -= 1
+                for n in range(b, size):
+                    _move(p, n, n + 1, n + 1, 0.0)
+            else:
+                b += 1
+        if gained < tolerance_m:
+            break
+    return size
+
+
+# --- searching -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    """One section: the space, the rules and the two ends."""
+
+    space: SpaceArrays
+    margins: Margins
+    limits: VehicleLimits
+    start_m: FloatArray
+    goal_m: FloatArray
+
+    @property
+    def slope_up(self) -> float:
+        return math.tan(min(self.limits.climb_angle_rad, _STEEPEST_RAD))
+
+    @property
+    def slope_down(self) -> float:
+        return math.tan(min(self.limits.descent_angle_rad, _STEEPEST_RAD))
+
+    @property
+    def length_m(self) -> float:
+        """The horizontal length that the section needs at least; never tiny."""
+        across, rise = math.hypot(*(self.goal_m - self.start_m)[:2]), self.goal_m[2] - self.start_m[2]
+        return max(across, rise / self.slope_up, -rise / self.slope_down, 30.0)
+
+    @property
+    def spare_m(self) -> float:
+        """How much higher above ground than it must be the lower end is: no leg from there can keep more."""
+        heights = np.array([self.start_m[2], self.goal_m[2]]) - kernels.terrain_heights(
+            self.space.terrain, np.array([self.start_m[:2], self.goal_m[:2]])
+        )
+        low, high = self.margins.height_agl_min_m, self.margins.height_agl_max_m
+        return max(0.0, float(min(heights.min() - low, high - heights.max())))
+
+    def rules(self, ground_slope: float, spare_m: float) -> _Rules:
+        """Return the margins for the kernels; ``spare_m`` covers what the terrain does between samples."""
+        m = self.margins
+        return _Rules(
+            height_min_m=m.height_agl_min_m + spare_m,
+            height_max_m=m.height_agl_max_m - spare_m,
+            alt_max_m=m.alt_amsl_max_m,
+            obstacle_m=m.obstacle_m,
+            fence_m=m.fence_m,
+            slope_up=self.slope_up * (1.0 - 1e-9),
+            slope_down=self.slope_down * (1.0 - 1e-9),
+            ground_slope=ground_slope,
+        )
+
+    def accepts(self, path: FloatArray) -> bool:
+        """Return whether every leg of a path (K, 3) keeps the margins and angles: the judge of all that is returned."""
+        legs = polyline_legs(path)
+        return bool(
+            legs_clear(self.space, self.margins, legs).all() and legs_within_angles(self.limits, legs, 1e-12).all()
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _Level:
+    """One grid to try: cells per section length, and how far the box reaches beyond the ends, in section lengths."""
+
+    cells: int
+    reach: float
+
+
+_LEVELS = (_Level(16, 0.5), _Level(32, 1.0), _Level(16, 4.0), _Level(64, 1.0), _Level(48, 4.0), _Level(48, math.inf))
+_NO_WALLS = np.empty((0, 11))
+
+
+def _grids(problem: _Problem) -> Iterator[tuple[_Grid, npt.NDArray[np.int64], float]]:
+    """Yield ever larger and finer grids, each with its moves and the steepest ground within it."""
+    start, goal = problem.start_m, problem.goal_m
+    across = math.hypot(*(goal - start)[:2])
+    ux, uy = (goal - start)[:2] / across if across > 1e-6 else (1.0, 0.0)
+    turn = np.array([[ux, -uy], [uy, ux]])  # columns: along and left of the section
+    west, south, east, north = problem.space.area
+    area = (np.array([[west, south], [west, north], [east, south], [east, north]]) - start[:2]) @ turn
+    for level in _LEVELS:
+        reach_m = level.reach * problem.length_m
+        low = np.maximum(area.min(axis=0), -reach_m)
+        high = np.minimum(area.max(axis=0), [across + reach_m, reach_m])
+        corners = np.array([[u, v] for u in (low[0], high[0]) for v in (low[1], high[1])]) @ turn.T + start[:2]
+        ground_low, ground_high, ground_slope = _survey(problem.space.terrain, corners)
+        bottom, top = _altitudes(problem, corners, ground_low, ground_high)
+        low, high = np.append(low, bottom - start[2]), np.append(high, top - start[2])
+        cell_m = problem.length_m / level.cells
+        while True:
+            layer_m = _layer_m(problem, cell_m, top - bottom)
+            step = np.array([cell_m, cell_m, layer_m])
+            first = np.minimum(np.ceil(low / step), 0.0)
+            size = np.maximum(np.floor(high / step), 0.0) - first + 1.0
+            if size.prod() <= _NODES_MAX:
+                break
+            cell_m *= 1.25
+        grid = _Grid(float(ux), float(uy), cell_m, layer_m, *first.astype(int).tolist(), *size.astype(int).tolist())
+        yield grid, _moves(problem, cell_m, layer_m), ground_slope
+
+
+def _survey(terrain: kernels.TerrainArrays, corners: FloatArray) -> tuple[float, float, float]:
+    """Return lowest and highest ground and a bound of its slope (inf near voids) in the hull of corners (N, 2)."""
+    height = terrain.height_amsl_m
+    cells = np.array([kernels.cell_position(terrain, x, y) for x, y in corners])
+    low = np.clip(np.floor(cells.min(axis=0)) - 2, 0, np.array(height.shape) - 1).astype(int)
+    high = np.clip(np.ceil(cells.max(axis=0)) + 3, 1, height.shape).astype(int)
+    window = height[low[0] : high[0], low[1] : high[1]]
+    voids = np.isnan(window)
+    if voids.all():
+        return math.inf, -math.inf, math.inf
+    lowest, highest = float(np.nanmin(window)), float(np.nanmax(window))
+    if voids.any():
+        return lowest, highest, math.inf
+    rise = max(float(np.abs(np.diff(window, axis=k)).max(initial=0.0)) for k in (0, 1))
+    x, y = corners.mean(axis=0)
+    here, east, north = (
+        np.array(kernels.cell_position(terrain, x + dx, y + dy)) for dx, dy in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+    )
+    cells_per_m = float(np.linalg.norm([east - here, north - here]))
+    return lowest, highest, 1.5 * math.sqrt(2.0) * rise * cells_per_m  # Keys' cubic: at most 1.5 times its data's slope
+
+
+def _altitudes(problem: _Problem, corners: FloatArray, ground_low: float, ground_high: float) -> tuple[float, float]:
+    """Return the lowest and highest altitude at which it can help to fly."""
+    margins, o = problem.margins, problem.space.obstacles
+    ends = (problem.start_m[2], problem.goal_m[2])
+    middle = corners.mean(axis=0)
+    near = np.hypot(*(o.bound[:, :2] - middle).T) < o.bound[:, 2] + np.linalg.norm(corners[0] - middle)
+    tops = [top for top, counts in zip(_tops_amsl_m(o), near & o.hard, strict=True) if counts and math.isfinite(top)]
+    top = max([*ends, ground_high + margins.height_agl_min_m, *(top + margins.obstacle_m for top in tops)]) + 30.0
+    top = min(top, margins.alt_amsl_max_m, problem.space.fence_top_amsl_m - margins.fence_m)
+    bottom = max(ground_low + margins.height_agl_min_m, min(ends) - problem.length_m)
+    return min(bottom, *ends), max(top, *ends)
+
+
+def _tops_amsl_m(o: kernels.ObstacleArrays) -> FloatArray:
+    p, kind = o.params, o.kind
+    return np.select(
+        [kind == kernels.CYLINDER, kind == kernels.CONE, kind == kernels.PRISM, kind == kernels.CABLE],
+        [p[:, 3], p[:, 3] + p[:, 4], p[:, 1], np.maximum(p[:, 2], p[:, 5]) + p[:, 6]],
+        p[:, 2] + p[:, 3],
+    )
+
+
+def _layer_m(problem: _Problem, cell_m: float, range_m: float) -> float:
+    """Return the spacing of layers: one cell's climb is never less than one layer."""
+    steepest_m = 0.98 * cell_m * min(problem.slope_up, problem.slope_down)
+    band_m = problem.margins.height_agl_max_m - problem.margins.height_agl_min_m
+    return min(steepest_m, 0.5 * cell_m, max(range_m / 24.0, 4.0), max(band_m / 3.0, 1.0))
+
+
+_DIRECTIONS = tuple((u, v) for u in range(-2, 3) for v in range(-2, 3) if math.gcd(u, v) == 1)
+
+
+def _moves(problem: _Problem, cell_m: float, layer_m: float) -> npt.NDArray[np.int64]:
+    """Return moves (M, 3): sixteen directions, each level, up or down by one, by some and by all the limits allow."""
+    moves = []
+    for u, v in _DIRECTIONS:
+        across_m = math.hypot(u, v) * cell_m
+        up, down = (int(slope * across_m / layer_m * (1.0 - 1e-6)) for slope in (problem.slope_up, problem.slope_down))
+        moves += [(u, v, w) for w in sorted({0, min(1, up), min(3, up), up, -min(1, down), -min(3, down), -down})]
+    return np.array(moves, dtype=np.int64)
+
+
+def _find(
+    problem: _Problem, walls: FloatArray, levels: int = len(_LEVELS), longest_m: float = math.inf
+) -> FloatArray | None:
+    """Return a taut path (K, 3) that crosses no wall, or None if none of the first ``levels`` grids holds one."""
+    for grid, moves, ground_slope in islice(_grids(problem), levels):
+        for spare_m in _SPARES_M:
+            rules = problem.rules(ground_slope, min(spare_m, problem.spare_m))
+            raw = _graph_path(problem, rules, walls, grid, moves, longest_m)
+            if not len(raw):
+                break
+            path = _draw_taut(problem, rules, walls, raw)
+            if path is not None:
+                return path
+    return None
+
+
+def _graph_path(
+    problem: _Problem,
+    rules: _Rules,
+    walls: FloatArray,
+    grid: _Grid,
+    moves: npt.NDArray[np.int64],
+    longest_m: float,
+) -> FloatArray:
+    """Return the shortest path (K, 3) along the grid, (0, 3) if there is none as short as asked."""
+    columns = grid.u_count * grid.v_count
+    count = columns * grid.w_count
+    nodes = _Nodes(
+        cost=np.full(count, np.inf),
+        parent=np.full(count, -1),
+        radius=np.full(count, np.nan),
+        closed=np.zeros(count, dtype=np.bool_),
+        floor=np.full(columns, np.nan),
+        queue_cost=np.empty(8 * count),
+        queue_node=np.empty(8 * count, dtype=np.int64),
+    )
+    first = (-grid.u_low * grid.v_count - grid.v_low) * grid.w_count - grid.w_low
+    nodes.cost[first] = nodes.radius[first] = nodes.queue_cost[0] = 0.0
+    nodes.queue_node[0] = first
+    ends = np.array([problem.start_m, problem.goal_m])
+    lengths = np.linalg.norm(moves * (grid.cell_m, grid.cell_m, grid.layer_m), axis=1)
+    node = _expand(problem.space, rules, walls, ends, grid, moves, lengths, nodes, longest_m)
+    if node < 0:
+        return np.empty((0, 3))
+    path = [problem.goal_m]
+    while node != first:
+        u, v, w = np.unravel_index(node, (grid.u_count, grid.v_count, grid.w_count))
+        a, b, c = (u + grid.u_low) * grid.cell_m, (v + grid.v_low) * grid.cell_m, (w + grid.w_low) * grid.layer_m
+        path.append(problem.start_m + np.array([a * grid.ux - b * grid.uy, a * grid.uy + b * grid.ux, c]))
+        node = int(nodes.parent[node])
+    return np.array([problem.start_m, *path[::-1]])
+
+
+def _shortcut(problem: _Problem, rules: _Rules, walls: FloatArray, path: FloatArray) -> FloatArray:
+    """Return the path without the points that a clear leg can skip: from each the farthest, found by galloping."""
+    kept, last = [0], len(path) - 1
+    while kept[-1] < last:
+        here = kept[-1]
+        good, bad, stride = here + 1, last + 1, 2
+        while bad - good > 1:
+            trial = min(here + stride, last) if bad > last else (good + bad) // 2
+            if _leg_ok(problem.space, rules, walls, path[[here, trial]], False):
+                good, stride = trial, 2 * stride
+            else:
+                bad = trial
+        kept.append(good)
+    return path[kept]
+
+
+def _draw_taut(problem: _Problem, rules: _Rules, walls: FloatArray, raw: FloatArray) -> FloatArray | None:
+    """Return the path drawn taut, or as it was where that does not pass the judge; None if neither does."""
+    short = _shortcut(problem, rules, walls, raw)
+    path = np.concatenate([short, np.zeros((_CUTS_MAX, 3))])
+    size = _taut(problem.space, rules, walls, path, len(short), _TAUT_TOLERANCE * problem.length_m)
+    return next((path for path in (path[:size].copy(), short, raw) if problem.accepts(path)), None)
+
+
+# --- other ways around ---------------------------------------------------------------------------------------------
+
+_WALLS_PER_PATH = 3
+_WALL_REACH = 0.35  # of the section's length
+_NEAR = 0.25  # of the section's length: an obstacle this near may be passed on another side
+_LONGEST = 1.5  # times the shortest: longer ways around are not worth a guess
+_SAMPLES = 65
+
+
+def _resample(path: FloatArray) -> FloatArray:
+    """Return points (_SAMPLES, 3) evenly along a path."""
+    s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = np.linspace(0.0, s[-1], _SAMPLES)
+    return np.stack([np.interp(at, s, path[:, k]) for k in range(3)], axis=1)
+
+
+def _length_m(path: FloatArray) -> float:
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def _unit(v: FloatArray) -> FloatArray:
+    unit: FloatArray = v / max(float(np.linalg.norm(v)), 1e-12)
+    return unit
+
+
+def _away(o: kernels.ObstacleArrays, i: int, at: FloatArray) -> FloatArray:
+    """Return the direction (3,) in which the distance to solid ``i`` grows."""
+    step = 0.01 * np.eye(3)
+    distance = kernels.obstacle_distances(o, np.concatenate([at + step, at - step]))[:, i]
+    return _unit(distance[:3] - distance[3:])
+
+
+def _walls_at(problem: _Problem, path: FloatArray) -> list[FloatArray]:
+    """Return walls (11,), each closing one side on which the path passes something: where it bends, what it nears."""
+    o, reach_m = problem.space.obstacles, _WALL_REACH * problem.length_m
+    samples = _resample(path)
+    course = np.gradient(samples, axis=0)
+    walls: list[FloatArray] = []
+
+    def close(at: FloatArray, along: FloatArray, away: FloatArray, depth_m: float) -> None:
+        along = _unit(along)
+        away = _unit(away - along * (away @ along))
+        walls.append(np.concatenate([at, along, away, [depth_m, reach_m]]))
+
+    hard = np.flatnonzero(o.hard)
+    distance = kernels.obstacle_distances(o, samples)[:, hard]
+    nearest = distance.argmin(axis=0)
+    for n in np.argsort(distance.min(axis=0), kind="stable")[:_WALLS_PER_PATH]:
+        at, d = samples[nearest[n]], distance[nearest[n], n]
+        if d < _NEAR * problem.length_m and 0 < nearest[n] < _SAMPLES - 1:
+            close(at, course[nearest[n]], _away(o, int(hard[n]), at), 0.9 * d)
+
+    before, after = path[1:-1] - path[:-2], path[2:] - path[1:-1]
+    turns = [_unit(b) - _unit(a) for a, b in zip(before, after, strict=True)]
+    sharpest = max(range(len(turns)), key=lambda k: float(turns[k] @ turns[k]), default=-1)
+    if sharpest >= 0 and (not len(hard) or distance.min() > 2.0 * problem.margins.obstacle_m):
+        close(
+            path[sharpest + 1],
+            path[sharpest + 2] - path[sharpest],
+            -turns[sharpest],
+            0.9 * problem.margins.height_agl_min_m,
+        )
+    return walls
+
+
+def _sides(problem: _Problem, path: FloatArray) -> npt.NDArray[np.int64]:
+    """Return the side (O,) on which the path passes each hard solid: 0 left, 1 over, 2 right, 3 under, -1 far away."""
+    o = problem.space.obstacles
+    samples = _resample(path)
+    left = np.array([problem.start_m[1] - problem.goal_m[1], problem.goal_m[0] - problem.start_m[0], 0.0])
+    distance = kernels.obstacle_distances(o, samples)
+    sides = np.full(len(o.kind), -1)
+    for i in np.flatnonzero(o.hard & (distance.min(axis=0, initial=math.inf) < _NEAR * problem.length_m)):
+        away = _away(o, i, samples[distance[:, i].argmin()])
+        sides[i] = round(2.0 * math.atan2(away[2], away @ _unit(left)) / math.pi) % 4
+    return sides
+
+
+def _differ(problem: _Problem, one: FloatArray, other: FloatArray) -> bool:
+    """Return whether two paths are worth keeping both: far apart, or apart and on different sides of something."""
+    apart_m = float(np.linalg.norm(_resample(one) - _resample(other), axis=1).max())
+    if apart_m < max(0.02 * problem.length_m, 2.0):
+        return False
+    return apart_m > 0.1 * problem.length_m or bool((_sides(problem, one) != _sides(problem, other)).any())
+
+
+def _another(problem: _Problem, walls: FloatArray, levels: int, longest_m: float) -> FloatArray | None:
+    """Return a path around the walls; where it leans on a wall's edge it is let go if it stays on its side."""
+    path = _find(problem, walls, levels, longest_m)
+    if path is None:
+        return None
+    rules = problem.rules(math.inf, min(_SPARES_M[0], problem.spare_m))
+    freed = _draw_taut(problem, rules, _NO_WALLS, path)
+    return path if freed is None or (_sides(problem, path) != _sides(problem, freed)).any() else freed
+
+
+def first_guesses(
+    space: SpaceArrays,
+    limits: VehicleLimits,
+    start_m: npt.ArrayLike,
+    goal_m: npt.ArrayLike,
+    *,
+    count: int = 1,
+    clearance_extra_m: float = 0.0,
+    names: Sequence[str] = (),
+) -> list[FloatArray]:
+    """Return up to ``count`` taut polylines (K, 3) from start to goal on different ways around, shortest first.
+
+    Each keeps the vehicle's margins and angles, judged by the same kernels as everything else. ``clearance_extra_m``
+    is kept on top as far as start and goal themselves do. ``names`` of the obstacles are for the error message.
+
+    Raises
+    ------
+    InfeasibleError
+        No clear way was found; says which end or which limit is in the way.
+    """
+    start, goal = np.array(start_m, dtype=float), np.array(goal_m, dtype=float)
+    ends = {"start": start, "goal": goal}
+    margins = _end_margins(space, Margins.of(limits), Margins.of(limits, clearance_extra_m), ends, names)
+    problem = _Problem(space, margins, limits, start, goal)
+    straight = np.array([start, goal])
+    found: list[FloatArray] = []
+    levels = 1
+    if problem.accepts(straight):
+        found.append(straight)
+        if count == 1:
+            return found
+    while not found:
+        path = _find(problem, _NO_WALLS, levels)
+        if path is not None:
+            found.append(path)
+        elif levels == len(_LEVELS):
+            raise InfeasibleError(_what_blocks(problem, names))
+        else:
+            levels += 1
+    longest_m = _LONGEST * _length_m(found[0])
+    open_ways: list[tuple[float, int, FloatArray, FloatArray]] = [(_length_m(found[0]), 0, found[0], _NO_WALLS)]
+    searches = 2 * count
+    while open_ways and searches > 0 and len(found) < max(count, 2):
+        _, _, path, walls = heapq.heappop(open_ways)
+        for wall in _walls_at(problem, path)[:searches]:
+            searches -= 1
+            more = np.concatenate([walls, wall[None]])
+            other = _another(problem, more, levels, longest_m)
+            if other is not None and all(_differ(problem, other, known) for known in found):
+                found.append(other)
+                heapq.heappush(open_ways, (_length_m(other), len(found), other, more))
+    return sorted(found, key=_length_m)[:count]
+
+
+def _end_margins(
+    space: SpaceArrays, must: Margins, wish: Margins, ends: dict[str, FloatArray], names: Sequence[str]
+) -> Margins:
+    """Return the wished margins as far as both ends themselves keep them; an end that lacks what it must is an error."""
+    o = space.obstacles
+    kept = wish
+    for end, at in ends.items():
+        height = at[2] - kernels.terrain_height(space.terrain, at[0], at[1])
+        inside = float(kernels.inside_distance(space, *at)) - _BOUND_SLACK_M
+        distance = np.where(o.hard, kernels.obstacle_distances(o, at[None])[0], math.inf) - _BOUND_SLACK_M
+        nearest = int(distance.argmin()) if len(distance) else -1
+        least = float(distance.min(initial=math.inf))
+        what = _obstacle(names, nearest)
+        for have, need, text in (
+            (height, must.height_agl_min_m, "above the ground"),
+            (least, must.obstacle_m, f"from {what}"),
+            (inside, must.fence_m, "inside the fence and the area"),
+        ):
+            if not have >= need - _TIGHT_END_M:
+                raise InfeasibleError(f"{end} is {have:.1f} m {text}, expected at least {need:.1f} m: move it")
+        for have, need, text in (
+            (height, must.height_agl_max_m, "above the ground"),
+            (at[2], must.alt_amsl_max_m, "AMSL"),
+        ):
+            if not have <= need + _TIGHT_END_M:
+                raise InfeasibleError(f"{end} is {have:.1f} m {text}, expected at most {need:.1f} m: move it")
+        kept = Margins(
+            height_agl_min_m=min(kept.height_agl_min_m, height - 1e-9),
+            height_agl_max_m=max(kept.height_agl_max_m, height + 1e-9),
+            alt_amsl_max_m=max(kept.alt_amsl_max_m, at[2]),
+            obstacle_m=min(kept.obstacle_m, least),
+            fence_m=min(kept.fence_m, inside),
+        )
+    return kept
+
+
+def _obstacle(names: Sequence[str], index: int) -> str:
+    return names[index] if 0 <= index < len(names) else f"obstacle {index}"
+
+
+_LEVELS_WHEN_BLOCKED = 3
+
+
+def _what_blocks(problem: _Problem, names: Sequence[str]) -> str:
+    """Return what stands in the way: the one limit without which there is a path."""
+    space, limits, margins = problem.space, problem.limits, problem.margins
+    anything = replace(limits, climb_angle_rad=_STEEPEST_RAD, descent_angle_rad=_STEEPEST_RAD)
+    high = replace(margins, height_agl_max_m=math.inf, alt_amsl_max_m=math.inf)
+    harmless = space.obstacles._replace(hard=np.zeros_like(space.obstacles.hard))
+    rise = problem.goal_m[2] - problem.start_m[2]
+    angle_deg = math.degrees(limits.climb_angle_rad if rise > 0.0 else limits.descent_angle_rad)
+    across = math.hypot(*(problem.goal_m - problem.start_m)[:2])
+    direct_deg = math.degrees(math.atan2(abs(rise), across))
+    trials = (
+        (
+            replace(problem, limits=anything),
+            f"the straight way needs {direct_deg:.1f} deg, the limit is {angle_deg:.1f} deg, and there is no room for "
+            "detours: allow steeper flight or move start or goal",
+        ),
+        (replace(problem, margins=high), "the height limit is in the way: raise height_agl_max_m or alt_amsl_max_m"),
+        (
+            replace(problem, space=space._replace(fence=np.empty((0, 2)), fence_top_amsl_m=math.inf)),
+            "the fence is in the way: widen it",
+        ),
+        (
+            replace(
+                problem,
+                space=space._replace(obstacles=space.obstacles._replace(hard=np.zeros_like(space.obstacles.hard))),
+            ),
+            "",
+        ),
+    )
+    for trial, text in trials:
+        path = _find(trial, _NO_WALLS, _LEVELS_WHEN_BLOCKED)
+        if path is None:
+            continue
+        if text:
+            return f"no clear way: {text}"
+        near = kernels.legs_clearance(space, polyline_legs(path), STEP_M)
+        hit = near[near[:, kernels.OBSTACLE] < margins.obstacle_m, kernels.OBSTACLE_INDEX]
+        what = ", ".join(dict.fromkeys(_obstacle(names, int(i)) for i in hit))
+        return f"no clear way past {what} with a margin of {margins.obstacle_m:.1f} m: lower it or move start or goal"
+    return "no clear way: ground, obstacles and limits together leave none: widen the area or move start or goal"
