@@ -1,13 +1,38 @@
-"""A fleet on its links: find it, upload, verify, start together, watch. Non-blocking beneath, timed by a clock."""
+"""A fleet on its links: find it, upload, verify, start together, watch. Non-blocking beneath, timed by a clock.
+
+The order is a rule: nothing is armed before every vehicle holds its mission as sent; nothing takes off before every
+vehicle that starts at once is armed. What goes wrong is a :class:`LinkError` that says how it leaves the fleet.
+"""
 
 from __future__ import annotations
 
+import math
 import select
 import time
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
 
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.command_protocol import Command, command_name
 from adapters.endpoint import Endpoint
+from adapters.flight_recorder import FlightRecorder, status_text
+from adapters.mission_items import MissionItem, goal_seq, plan_items
+from adapters.mission_protocol import MissionDownload, MissionUpload, Party, mismatches
+from adapters.pymavlink_link import PymavlinkLink
+from adapters.telemetry_log import FleetLog
+from missionplanner.errors import LinkError
+from missionplanner.geodesy import FloatArray
+from missionplanner.plan import FleetFlight, FleetPlan, FlownVehicle, VehiclePlan
+from missionplanner.vehicle import Autopilot, VehicleClass
+
+Message = Any  # a pymavlink message: its classes are generated, and carry no types
+Steps = Generator[None, None, None]  # something that goes on over time: yields until its next look at the world
+Order = Literal["auto", "hold", "land", "rtl"]
+TransferProgress = Callable[[str, int, int], None]
+"""Called with a vehicle's name, its items transferred and the count of them."""
 
 
 class Clock(Protocol):
@@ -40,3 +65,596 @@ class WallClock:
             select.select(descriptors, [], [], max(seconds, 0.0))
         else:
             time.sleep(max(seconds, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleStatus:
+    """One vehicle while the fleet is being watched."""
+
+    name: str
+    sysid: int
+    t_s: float | None  # since the common start, of the last position
+    item: int | None  # flown to at present
+    items: int
+    position_m: FloatArray | None  # (3,)
+    armed: bool
+    arrived: bool
+    landed: bool
+    silent_s: float  # since anything was heard
+    text: str  # what the vehicle said last
+
+
+WatchProgress = Callable[[Sequence[VehicleStatus]], None]
+
+_WAIT_S = 0.05
+_ANSWER_S = 7.0
+_READY_S = 180.0  # a cold GPS and a cold estimator take a minute
+_TEXT_FOR_S = 30.0  # a vehicle repeats what keeps it from arming
+_FLYING_S = 5.0  # from MISSION_START to being seen in its mission
+_START_RETRY_S = 0.25
+_ARM_S = 8.0  # an armed copter left idle disarms after 10 s
+_ARM_EARLY_S = 4.0  # before a delayed start
+_LOST_S = 60.0
+_PROGRESS_S = 0.5
+
+_CUSTOM_MODE = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+_PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+_POSITION_SENSORS = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | mavlink.MAV_SYS_STATUS_SENSOR_GPS
+)
+_AUTOPILOTS: dict[int, Autopilot] = {
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
+    mavlink.MAV_AUTOPILOT_PX4: "px4",
+}
+_COPTERS = frozenset({2, 3, 4, 13, 14, 15, 29, 35})  # MAV_TYPE: multirotors, coaxial and helicopters
+_PLANES = frozenset({1, *range(19, 26)})  # fixed wing and VTOL
+
+# HEARTBEAT.custom_mode by what we want: a mode to be armed in that leaves the vehicle on the ground, and the others.
+# ArduPlane has no mode that lands where it is: it returns. PX4 packs main and sub mode.
+_MODES: dict[tuple[Autopilot, VehicleClass], dict[Order, int]] = {
+    ("ardupilot", "copter"): {"hold": 4, "auto": 3, "land": 9, "rtl": 6},
+    ("ardupilot", "plane"): {"hold": 5, "auto": 10, "land": 11, "rtl": 11},
+    **{
+        ("px4", kind): {
+            "hold": 4 << 16 | 3 << 24,
+            "auto": 4 << 16 | 4 << 24,
+            "land": 4 << 16 | 6 << 24,
+            "rtl": 4 << 16 | 5 << 24,
+        }
+        for kind in ("copter", "plane")
+    },
+}
+_MESSAGE_INTERVALS_S = {
+    mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.2,
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: 0.5,
+    mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 0.5,
+}
+
+
+class FleetLink:
+    """A ground station for one fleet plan.
+
+    ``home_tolerance_m`` (horizontally) and ``altitude_tolerance_m`` say how far from its planned home a vehicle may
+    stand to be started: further, and it is the wrong vehicle, place or altitude datum.
+    """
+
+    def __init__(
+        self,
+        plan: FleetPlan,
+        endpoints: Sequence[Endpoint],
+        clock: Clock,
+        *,
+        log: FleetLog | None = None,
+        home_tolerance_m: float = 10.0,
+        altitude_tolerance_m: float = 20.0,
+    ) -> None:
+        self._plan = plan
+        self._clock = clock
+        self._link = PymavlinkLink(endpoints, log)
+        self._vehicles = {vehicle.sysid: _Vehicle(vehicle, plan) for vehicle in plan.vehicles}
+        self._home_tolerance_m = home_tolerance_m
+        self._altitude_tolerance_m = altitude_tolerance_m
+        self._heard: set[int] = set()
+        self._start_s: float | None = None
+
+    @property
+    def items(self) -> Mapping[int, tuple[MissionItem, ...]]:
+        """The missions that are uploaded, by sysid."""
+        return {sysid: vehicle.items for sysid, vehicle in self._vehicles.items()}
+
+    def close(self) -> None:
+        """Close all links."""
+        self._link.close()
+
+    def connect(self, timeout_s: float = 30.0) -> None:
+        """Wait until every vehicle of the plan is heard, and is what the plan takes it for.
+
+        Raises
+        ------
+        LinkError
+            Nobody, or not everybody answers; another autopilot or class of vehicle; two vehicles with one sysid.
+        """
+        end_s = self._clock.now_s() + timeout_s
+        while any(vehicle.heartbeat is None for vehicle in self._vehicles.values()):
+            if self._clock.now_s() >= end_s:
+                raise LinkError(self._missing(timeout_s))
+            self._exchange()
+            self._clock.wait(_WAIT_S)
+        for vehicle in self._vehicles.values():
+            vehicle.check_identity()
+
+    def upload(self, progress: TransferProgress | None = None) -> None:
+        """Give every vehicle its mission, all at the same time.
+
+        Raises
+        ------
+        LinkError
+            A vehicle is armed, refuses, or falls silent; nothing was armed.
+        """
+        for vehicle in self._vehicles.values():
+            if vehicle.armed:
+                raise vehicle.error("is armed: land and disarm it before giving it a mission; nothing was uploaded")
+            vehicle.upload = MissionUpload(vehicle.party, vehicle.plan.autopilot, vehicle.items)
+        goings = {sysid: self._uploading(vehicle, progress) for sysid, vehicle in self._vehicles.items()}
+        self._together(goings, after_failure="nothing was armed")
+
+    def verify(self, progress: TransferProgress | None = None) -> None:
+        """Read every mission back and compare it with the plan's.
+
+        Raises
+        ------
+        LinkError
+            A vehicle holds another mission than the one sent, named by item and field; nothing was armed.
+        """
+        goings = {sysid: self._verifying(vehicle, progress) for sysid, vehicle in self._vehicles.items()}
+        self._together(goings, after_failure="nothing was armed")
+
+    def start(self, ready_timeout_s: float = _READY_S) -> None:
+        """Wait until all can be armed, arm all, then start all in one burst: all or none.
+
+        Vehicles with a start delay are armed and started that much later; this returns when all are in their missions.
+
+        Raises
+        ------
+        LinkError
+            A vehicle is not ready, stands elsewhere than planned, or does not start; the message says who flies.
+        """
+        self._together(
+            {sysid: self._preparing(vehicle, ready_timeout_s) for sysid, vehicle in self._vehicles.items()},
+            after_failure="nothing was armed",
+        )
+        first = {k: v for k, v in self._vehicles.items() if v.plan.start_delay_s <= 0.0}
+        try:
+            self._together({sysid: self._arming(vehicle) for sysid, vehicle in first.items()})
+        except LinkError as error:
+            raise LinkError(f"{error}; {self._stand_down()}") from error
+        self._start_s = self._clock.now_s()
+        for vehicle in self._vehicles.values():
+            vehicle.recorder.start(self._start_s)
+        try:
+            self._together({sysid: self._starting(vehicle) for sysid, vehicle in first.items()})
+        except LinkError as error:
+            raise LinkError(f"{error}; {self._stand_down()}") from error
+        later = {k: v for k, v in self._vehicles.items() if k not in first}
+        self._together(
+            {k: self._starting_later(v) for k, v in later.items()}, after_failure="the others fly their missions"
+        )
+
+    def watch(self, progress: WatchProgress | None = None) -> FleetFlight:
+        """Record until every vehicle has ended its mission: landed, or arrived where it is to stay.
+
+        Raises
+        ------
+        LinkError
+            A vehicle was not heard for a minute, restarted in flight, or takes far longer than planned, once the others
+            have ended theirs. :meth:`flight` has what was recorded.
+        """
+        assert self._start_s is not None, "start first"
+        longest_s = max(float(vehicle.plan.trajectory.t_s[-1]) for vehicle in self._vehicles.values())
+        give_up_s = self._start_s + 2.0 * longest_s + 2.0 * _LOST_S
+        shown_s = -math.inf
+        while True:
+            self._exchange()
+            now_s = self._clock.now_s()
+            ended = all(vehicle.ended or vehicle.lost(now_s) for vehicle in self._vehicles.values())
+            if progress is not None and (ended or now_s >= shown_s + _PROGRESS_S):
+                shown_s = now_s
+                progress([vehicle.status(now_s) for vehicle in self._vehicles.values()])
+            if ended or now_s > give_up_s:
+                break
+            self._clock.wait(_WAIT_S)
+        failures = [v.failure(self._clock.now_s()) for v in self._vehicles.values() if not v.ended]
+        if failures:
+            raise _joined(failures)
+        return self.flight()
+
+    def flight(self) -> FleetFlight:
+        """Return what has been recorded so far."""
+        return FleetFlight(tuple(vehicle.flown() for vehicle in self._vehicles.values()))
+
+    def order(self, order: Order) -> None:
+        """Send every armed vehicle home, down, into a hover, or (``auto``) on with its mission.
+
+        Raises
+        ------
+        LinkError
+            A vehicle does not confirm; the others have obeyed.
+        """
+        armed = {sysid: vehicle for sysid, vehicle in self._vehicles.items() if vehicle.armed}
+        self._together({k: self._switching(v, order) for k, v in armed.items()}, after_failure="the others have obeyed")
+
+    # what goes on with one vehicle, each a generator that yields whenever it waits
+
+    def _uploading(self, vehicle: _Vehicle, progress: TransferProgress | None) -> Steps:
+        upload = vehicle.upload
+        assert upload is not None
+        shown = -1
+        while not upload.done or upload.sent != shown:
+            if upload.sent != shown:
+                shown = upload.sent
+                _tell(progress, vehicle, shown, upload.total)
+            self._send(vehicle, upload.poll(self._clock.now_s()))
+            yield
+            vehicle.check_transfer()
+
+    def _verifying(self, vehicle: _Vehicle, progress: TransferProgress | None) -> Steps:
+        download = MissionDownload(vehicle.party)
+        vehicle.download = download
+        shown = -1
+        while not download.done:
+            self._send(vehicle, download.poll(self._clock.now_s()))
+            if len(download.items) != shown:
+                shown = len(download.items)
+                _tell(progress, vehicle, shown, len(vehicle.items))
+            yield
+            vehicle.check_transfer()
+        vehicle.download = None
+        _tell(progress, vehicle, len(download.items), len(vehicle.items))
+        wrong = mismatches(vehicle.items, download.items, vehicle.plan.autopilot)
+        if wrong:
+            more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+            command = _command_at(vehicle.items, wrong[0].seq)
+            raise vehicle.error(f"holds another mission than was sent: {wrong[0]}{command}{more}; upload it again")
+
+    def _preparing(self, vehicle: _Vehicle, timeout_s: float) -> Steps:
+        for number, interval_s in _MESSAGE_INTERVALS_S.items():
+            # one that will not be set comes at the vehicle's own rate
+            yield from self._commanding(vehicle, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, interval_s * 1e6)
+        end_s = self._clock.now_s() + timeout_s
+        while (missing := vehicle.not_ready(self._clock.now_s())) is not None:
+            if self._clock.now_s() >= end_s:
+                raise vehicle.error(f"not ready to arm within {timeout_s:.0f} s: {missing}")
+            yield
+        self._check_home(vehicle)
+        yield from self._rewinding(vehicle)
+        yield from self._switching(vehicle, "hold")
+
+    def _rewinding(self, vehicle: _Vehicle) -> Steps:
+        """Set the first item as the current one: the vehicle may have flown this mission before."""
+        first = 1 if vehicle.plan.autopilot == "ardupilot" else 0
+        message = mavlink.MAVLink_mission_set_current_message(vehicle.plan.sysid, 1, first)
+        vehicle.current_item = None
+        end_s = self._clock.now_s() + _ANSWER_S
+        due_s = -math.inf
+        while vehicle.current_item is None or vehicle.current_item > first:
+            now_s = self._clock.now_s()
+            if now_s >= end_s:
+                raise vehicle.error(
+                    f"expected to begin its mission at item {first}, it stands at {vehicle.current_item}"
+                )
+            if now_s >= due_s:
+                due_s = now_s + 1.0
+                self._send(vehicle, [message])
+            yield
+
+    def _switching(self, vehicle: _Vehicle, order: Order) -> Steps:
+        mode = vehicle.modes[order]
+        main, sub = (mode, 0) if vehicle.plan.autopilot == "ardupilot" else (mode >> 16 & 0xFF, mode >> 24)
+        result = yield from self._commanding(vehicle, mavlink.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE, main, sub)
+        if result != mavlink.MAV_RESULT_ACCEPTED:
+            raise vehicle.error(f"refused to switch to {order} (mode {mode}){vehicle.said(self._clock.now_s())}")
+
+    def _arming(self, vehicle: _Vehicle) -> Steps:
+        command = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+        result = yield from self._commanding(vehicle, command, 1.0, patience_s=_ARM_S)
+        if result != mavlink.MAV_RESULT_ACCEPTED:
+            raise vehicle.error(f"refused to arm{vehicle.said(self._clock.now_s())}")
+
+    def _starting(self, vehicle: _Vehicle) -> Steps:
+        result = yield from self._commanding(
+            vehicle, mavlink.MAV_CMD_MISSION_START, 0.0, len(vehicle.items) - 1.0, retry_s=_START_RETRY_S
+        )
+        if result != mavlink.MAV_RESULT_ACCEPTED:
+            raise vehicle.error(f"refused to start its mission{vehicle.said(self._clock.now_s())}")
+        end_s = self._clock.now_s() + _FLYING_S
+        # an ACK is not enough: ArduCopter accepts the start of a disarmed vehicle and stays where it is
+        while not (vehicle.armed and vehicle.in_mode("auto")):
+            if self._clock.now_s() >= end_s:
+                state = "armed" if vehicle.armed else "disarmed"
+                raise vehicle.error(
+                    f"accepted the start but does not fly its mission (mode {vehicle.custom_mode}, {state})"
+                    f"{vehicle.said(self._clock.now_s())}"
+                )
+            yield
+
+    def _starting_later(self, vehicle: _Vehicle) -> Steps:
+        assert self._start_s is not None
+        at_s = self._start_s + vehicle.plan.start_delay_s
+        while self._clock.now_s() < at_s - _ARM_EARLY_S:
+            yield
+        yield from self._arming(vehicle)
+        while self._clock.now_s() < at_s:
+            yield
+        yield from self._starting(vehicle)
+
+    def _commanding(
+        self, vehicle: _Vehicle, number: int, *params: float, retry_s: float = 0.7, patience_s: float = _ANSWER_S
+    ) -> Generator[None, None, int]:
+        command = Command(
+            vehicle.plan.name, vehicle.plan.sysid, number, *params, retry_s=retry_s, patience_s=patience_s
+        )
+        vehicle.command = command
+        while command.result is None:
+            self._send(vehicle, command.poll(self._clock.now_s()))
+            yield
+        vehicle.command = None
+        return command.result
+
+    def _check_home(self, vehicle: _Vehicle) -> None:
+        position_m = vehicle.recorder.position_m
+        assert position_m is not None
+        offset_m = position_m - vehicle.plan.home_m
+        away_m = float(np.hypot(offset_m[0], offset_m[1]))
+        if away_m > self._home_tolerance_m:
+            raise vehicle.error(
+                f"stands {away_m:.1f} m from its planned home (at most {self._home_tolerance_m:g} m): "
+                "the wrong vehicle or place; move it or plan again"
+            )
+        if abs(offset_m[2]) > self._altitude_tolerance_m:
+            raise vehicle.error(
+                f"reports {position_m[2]:.1f} m AMSL where its home is planned at {vehicle.plan.home_m[2]:.1f} m "
+                f"(at most {self._altitude_tolerance_m:g} m apart): check the terrain's datum and the barometer"
+            )
+
+    def _stand_down(self) -> str:
+        """Bring a half-started fleet back to the ground, and say what came of it."""
+        armed = {sysid: vehicle for sysid, vehicle in self._vehicles.items() if vehicle.armed or vehicle.command}
+        self._settle(0.5)  # whoever has just been started says so
+        told: list[str] = []
+        silent: list[str] = []
+
+        def ending(vehicle: _Vehicle) -> Steps:
+            try:
+                disarm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+                result = yield from self._commanding(vehicle, disarm, 0.0, patience_s=2.0)
+                if result != mavlink.MAV_RESULT_ACCEPTED:  # it has left the ground
+                    yield from self._switching(vehicle, "land")
+                    told.append(vehicle.plan.name)
+            except LinkError:
+                silent.append(vehicle.plan.name)
+
+        self._together({sysid: ending(vehicle) for sysid, vehicle in armed.items()})
+        if silent:
+            return (
+                f"the start was called off, but {', '.join(silent)} did not answer and may be flying: take over by hand"
+            )
+        if told:
+            return f"the start was called off: {', '.join(told)} told to land, the others disarmed"
+        return "the start was called off: all vehicles are disarmed on the ground"
+
+    # the loop beneath
+
+    def _together(self, goings: Mapping[int, Steps], after_failure: str = "") -> None:
+        """Go on with all vehicles side by side; when some fail, let the others finish, then say who failed."""
+        running = dict(goings)
+        failures: list[LinkError] = []
+        while running:
+            self._exchange()
+            for sysid in list(running):
+                try:
+                    next(running[sysid])
+                except StopIteration:
+                    del running[sysid]
+                except LinkError as failure:
+                    failures.append(failure)
+                    del running[sysid]
+            if running:
+                self._clock.wait(_WAIT_S)
+        if failures:
+            joined = _joined(failures)
+            raise LinkError(f"{joined}; {after_failure}") if after_failure else joined
+
+    def _settle(self, duration_s: float) -> None:
+        end_s = self._clock.now_s() + duration_s
+        while self._clock.now_s() < end_s:
+            self._exchange()
+            self._clock.wait(_WAIT_S)
+
+    def _exchange(self) -> None:
+        """Take in all that has arrived, and answer what must be answered."""
+        now_s = self._clock.now_s()
+        for message in self._link.receive(now_s):
+            sysid = message.get_srcSystem()
+            self._heard.add(sysid)
+            vehicle = self._vehicles.get(sysid)
+            if vehicle is not None:
+                self._send(vehicle, vehicle.receive(message, now_s))
+
+    def _send(self, vehicle: _Vehicle, messages: Sequence[Message]) -> None:
+        for message in messages:
+            self._link.send(message, vehicle.plan.sysid, self._clock.now_s())
+
+    def _missing(self, timeout_s: float) -> str:
+        absent = [f"{v.plan.name} (sysid {k})" for k, v in self._vehicles.items() if v.heartbeat is None]
+        others = sorted(self._heard - set(self._vehicles))
+        if not self._heard:
+            heard = "nobody answered"
+        else:
+            present = ", ".join(str(sysid) for sysid in sorted(self._heard))
+            heard = f"heard only sysid {present}" if others else f"the others answered (sysid {present})"
+        return (
+            f"{self._link.urls}: expected {', '.join(absent)} within {timeout_s:g} s, {heard}; "
+            "check that the vehicles are on, send to this address, and have the sysids of the plan"
+        )
+
+
+class _Vehicle:
+    """What is known of one vehicle, and what goes on with it."""
+
+    def __init__(self, plan: VehiclePlan, fleet: FleetPlan) -> None:
+        self.plan = plan
+        self.party = Party(plan.name, plan.sysid)
+        self.items = plan_items(plan, fleet.frame)
+        self.modes = _MODES[plan.autopilot, plan.vehicle_class]
+        self.recorder = FlightRecorder(
+            goal_seq(self.items), plan.waypoints_m[-1], plan.motion.waypoint_radius_m + 1.0, fleet.frame
+        )
+        self.upload: MissionUpload | None = None
+        self.download: MissionDownload | None = None
+        self.command: Command | None = None
+        self.heartbeat: Message | None = None
+        self.current_item: int | None = None
+        self._refusal: LinkError | None = None
+        self._status: Message | None = None
+        self._ekf_flags: int | None = None
+        self._text = ""
+        self._text_s = -math.inf
+        self._heard_s = -math.inf
+
+    @property
+    def armed(self) -> bool:
+        return self.heartbeat is not None and bool(self.heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    @property
+    def custom_mode(self) -> int | None:
+        return None if self.heartbeat is None else int(self.heartbeat.custom_mode)
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has done all that its plan asks."""
+        return self.recorder.landed or (self.plan.end == "loiter" and self.recorder.reached_goal)
+
+    def in_mode(self, order: Order) -> bool:
+        return self.custom_mode == self.modes[order]
+
+    def error(self, text: str) -> LinkError:
+        return self.party.error(text)
+
+    def receive(self, message: Message, now_s: float) -> list[Message]:
+        """Take one message of this vehicle and return what to answer."""
+        self._heard_s = now_s
+        match message.get_type():
+            case "HEARTBEAT":
+                self.heartbeat = message
+            case "SYS_STATUS":
+                self._status = message
+            case "EKF_STATUS_REPORT":
+                self._ekf_flags = message.flags
+            case "MISSION_CURRENT":
+                self.current_item = message.seq
+            case "STATUSTEXT":
+                self._text, self._text_s = status_text(message), now_s
+        self.recorder.receive(message, now_s)
+        if self.command is not None:
+            self.command.receive(message, now_s)
+        replies: list[Message] = []
+        for transfer in (self.upload, self.download):
+            if transfer is not None and self._refusal is None:
+                try:
+                    replies += transfer.receive(message, now_s)
+                except LinkError as refusal:  # this vehicle's alone: the others go on
+                    self._refusal = refusal
+        return replies
+
+    def check_transfer(self) -> None:
+        """Raise what the vehicle has answered to its mission, if it was a refusal."""
+        if self._refusal is not None:
+            refusal, self._refusal = self._refusal, None
+            self.upload = self.download = None
+            raise refusal
+
+    def check_identity(self) -> None:
+        assert self.heartbeat is not None
+        autopilot = _AUTOPILOTS.get(self.heartbeat.autopilot, f"autopilot {self.heartbeat.autopilot}")
+        kind = self.heartbeat.type
+        vehicle_class = "copter" if kind in _COPTERS else "plane" if kind in _PLANES else f"MAV_TYPE {kind}"
+        if (autopilot, vehicle_class) != (self.plan.autopilot, self.plan.vehicle_class):
+            raise self.error(
+                f"expected {self.plan.autopilot} {self.plan.vehicle_class}, got {autopilot} {vehicle_class}: "
+                "the wrong vehicle, or correct the mission file and plan again; nothing was uploaded"
+            )
+
+    def not_ready(self, now_s: float) -> str | None:
+        """Return what is missing until it can be armed, None if nothing."""
+        status = self._status
+        if status is None:
+            return "no SYS_STATUS"
+        present, health = status.onboard_control_sensors_present, status.onboard_control_sensors_health
+        if self.recorder.position_m is None or not np.isfinite(self.recorder.position_m).all():
+            return "no position"
+        if present & _POSITION_SENSORS & ~health:
+            return f"gyroscope, accelerometer, compass or GPS not healthy{self.said(now_s)}"
+        wanted = mavlink.ESTIMATOR_ATTITUDE | mavlink.ESTIMATOR_VELOCITY_HORIZ | mavlink.ESTIMATOR_POS_HORIZ_ABS
+        if self._ekf_flags is not None and ~self._ekf_flags & wanted:
+            return f"its estimate of position is not healthy{self.said(now_s)}"
+        if present & _PREARM and not health & _PREARM:
+            return f"pre-arm checks fail{self.said(now_s)}"
+        return None
+
+    def said(self, now_s: float) -> str:
+        """Return the vehicle's own last words in brackets, if they are fresh."""
+        return f' ("{self._text}")' if self._text and now_s - self._text_s <= _TEXT_FOR_S else ""
+
+    def lost(self, now_s: float) -> bool:
+        return now_s - self._heard_s > _LOST_S or self.recorder.rebooted
+
+    def failure(self, now_s: float) -> LinkError:
+        where = f"at item {self.recorder.item}" if self.recorder.item is not None else "before its first item"
+        if self.recorder.rebooted:
+            return self.error(f"its autopilot restarted in flight, {where}")
+        if self.lost(now_s):
+            return self.error(
+                f"not heard for {now_s - self._heard_s:.0f} s, {where}; it flies on by itself: "
+                "watch for it at its goal or home"
+            )
+        return self.error(f"still flying long after its planned end, {where}: take over, or watch again")
+
+    def status(self, now_s: float) -> VehicleStatus:
+        return VehicleStatus(
+            name=self.plan.name,
+            sysid=self.plan.sysid,
+            t_s=self.recorder.t_s,
+            item=self.recorder.item,
+            items=len(self.items),
+            position_m=self.recorder.position_m,
+            armed=self.armed,
+            arrived=self.recorder.reached_goal,
+            landed=self.recorder.landed,
+            silent_s=now_s - self._heard_s,
+            text=self._text,
+        )
+
+    def flown(self) -> FlownVehicle:
+        recorder = self.recorder
+        return FlownVehicle(
+            self.plan.name, self.plan.sysid, recorder.trajectory(), recorder.arrival_s, recorder.landed_s
+        )
+
+
+def _tell(progress: TransferProgress | None, vehicle: _Vehicle, done: int, total: int) -> None:
+    if progress is not None:
+        progress(vehicle.plan.name, done, total)
+
+
+def _command_at(items: Sequence[MissionItem], seq: int) -> str:
+    return f" ({command_name(items[seq].command)})" if seq < len(items) else ""
+
+
+def _joined(failures: Sequence[LinkError]) -> LinkError:
+    """Return the first failure, with the number of others."""
+    others = f" (and {len(failures) - 1} more: {'; '.join(str(e) for e in failures[1:])})" if len(failures) > 1 else ""
+    return LinkError(f"{failures[0]}{others}")

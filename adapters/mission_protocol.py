@@ -527,7 +527,7 @@ _KEPT: dict[Autopilot, dict[int, tuple[str, ...]]] = {
 }
 _INTEGER_PARAMS: dict[Autopilot, dict[int, tuple[str, ...]]] = {"ardupilot": {WAYPOINT: ("param1",)}, "px4": {}}
 _ALTITUDE_TOLERANCE_M: dict[Autopilot, float] = {
-    "ardupilot": 0.0101,  # stores centimetres, truncated
+    "ardupilot": 0.011,  # stores centimetres, truncated, of a single-precision number
     "px4": 1e-3,
 }
 
