@@ -572,16 +572,16 @@ def _heights(t: TerrainArrays, q: PriceSettings, x: float, y: float, z: float) -
     h = t.height_amsl_m
     height = z - _surface(h, row, col)
     over = max(0.0, z - q.alt_max_m)
-    if math.isnan(height):
-        rows_out = max(0.0, 1.0 - row, row - (h.shape[0] - 2))
-        cols_out = max(0.0, 1.0 - col, col - (h.shape[1] - 2))
-        out_m = q.cell_m * math.sqrt(rows_out * rows_out + cols_out * cols_out)
-        return _MISSING_TERRAIN_M + out_m, over, -np.inf
-    return (
-        max(0.0, q.height_min_m - height),
-        max(over, height - q.height_max_m),
-        min(height - q.height_min_m, q.height_max_m - height),
-    )
+    if height >= q.height_min_m:
+        if height <= q.height_max_m:
+            return 0.0, over, min(height - q.height_min_m, q.height_max_m - height)
+        return 0.0, max(over, height - q.height_max_m), q.height_max_m - height
+    if height < q.height_min_m:
+        return q.height_min_m - height, max(over, height - q.height_max_m), height - q.height_min_m
+    rows_out = max(0.0, 1.0 - row, row - (h.shape[0] - 2))
+    cols_out = max(0.0, 1.0 - col, col - (h.shape[1] - 2))
+    out_m = q.cell_m * math.sqrt(rows_out * rows_out + cols_out * cols_out)
+    return _MISSING_TERRAIN_M + out_m, over, -np.inf
 
 
 @kernel
@@ -692,35 +692,21 @@ def _depth_integral(
 
 
 @kernel
-def _apart(blocks: FloatArray, b: int, bound: FloatArray, i: int, reach: float) -> bool:
-    """Whether box ``b`` (its middle, half its sides) is surely further than ``reach`` from solid ``i``."""
-    dx = max(0.0, abs(blocks[b, 0] - bound[i, 0]) - blocks[b, 3])
-    dy = max(0.0, abs(blocks[b, 1] - bound[i, 1]) - blocks[b, 4])
-    near = bound[i, 2] + reach
-    if dx * dx + dy * dy >= near * near:
-        return True
-    return bool(
-        blocks[b, 2] - blocks[b, 5] - bound[i, 4] >= reach or bound[i, 3] - blocks[b, 2] - blocks[b, 5] >= reach
-    )
-
-
-@kernel
 def _space_terms(
     path: FloatArray, space: SpaceArrays, q: PriceSettings, hop: FloatArray, blocks: FloatArray, out: FloatArray
 ) -> None:
     """Depth within reach of solids, of fence and area, integrated; ``blocks`` (B, 6) is scratch."""
     last = hop.shape[0]
-    count = blocks.shape[0] - 1
-    for b in range(count + 1):  # a box around every few samples, the last around all: most solids are passed by at once
-        first = b * BLOCK if b < count else 0
-        stop = min(first + BLOCK, last) if b < count else last
+    for b in range(blocks.shape[0]):  # a box around all, then one around every few samples: most solids are far off
+        first = max(0, b - 1) * BLOCK
+        stop = min(first + BLOCK, last) if b > 0 else last
         for axis in range(3):
             low = high = path[first, axis]
             for k in range(first + 1, stop + 1):
                 low = min(low, path[k, axis])
                 high = max(high, path[k, axis])
-            blocks[b, axis] = 0.5 * (low + high)
-            blocks[b, 3 + axis] = 0.5 * (high - low)
+            blocks[b, axis] = low
+            blocks[b, 3 + axis] = high
     scale = max(1.0, q.obstacle_m) * q.route_length_m
     out[OBSTACLES] = 0.0
     out[COLLISION] = 0.0
@@ -732,12 +718,20 @@ def _space_terms(
         radius = o.bound[i, 2]
         reach = q.obstacle_m if hard else 0.0
         step = hiding_step(reach if hard else radius)
+        x = o.bound[i, 0]
+        y = o.bound[i, 1]
+        near2 = (radius + reach) * (radius + reach)
+        lowest = o.bound[i, 3] - reach
+        highest = o.bound[i, 4] + reach
         depth = 0.0
-        if _apart(blocks, count, o.bound, i, reach):
-            continue
-        for b in range(count):
-            if not _apart(blocks, b, o.bound, i, reach):
-                first = b * BLOCK
+        for b in range(blocks.shape[0]):
+            dx = max(0.0, blocks[b, 0] - x, x - blocks[b, 3])
+            dy = max(0.0, blocks[b, 1] - y, y - blocks[b, 4])
+            if dx * dx + dy * dy >= near2 or blocks[b, 2] >= highest or blocks[b, 5] <= lowest:
+                if b == 0:
+                    break
+            elif b > 0:
+                first = (b - 1) * BLOCK
                 depth += _depth_integral(path, hop, first, min(first + BLOCK, last), space, i, reach, step)
         if depth > 0.0:
             if not hard:
@@ -766,8 +760,6 @@ def _passing_depth(rx: float, ry: float, rz: float, vx: float, vy: float, vz: fl
     vv = vx * vx + vy * vy + vz * vz
     rr = rx * rx + ry * ry + rz * rz
     rv = rx * vx + ry * vy + rz * vz
-    if rr >= 2.0 * (radius * radius + vv):  # |r| >= radius + |v|: too far off to come near
-        return 0.0
     speed = math.sqrt(vv)
     if speed <= 1e-9 * (1.0 + radius):
         return max(0.0, radius - math.sqrt(rr))
@@ -809,15 +801,12 @@ def _fellow_term(path: FloatArray, fellows: FloatArray, radius: float, hop: Floa
             rx = ax - fellows[f, n - 1, 0]
             ry = ay - fellows[f, n - 1, 1]
             rz = az - fellows[f, n - 1, 2]
-            total += _passing_depth(
-                rx,
-                ry,
-                rz,
-                bx - fellows[f, n, 0] - rx,
-                by - fellows[f, n, 1] - ry,
-                bz - fellows[f, n, 2] - rz,
-                radius,
-            )
+            vx = bx - fellows[f, n, 0] - rx
+            vy = by - fellows[f, n, 1] - ry
+            vz = bz - fellows[f, n, 2] - rz
+            # |r| >= radius + |v|: too far off to come near
+            if rx * rx + ry * ry + rz * rz < 2.0 * (radius * radius + vx * vx + vy * vy + vz * vz):
+                total += _passing_depth(rx, ry, rz, vx, vy, vz, radius)
         ax = bx
         ay = by
         az = bz
