@@ -547,29 +547,19 @@ def _around(places: Sequence[tuple[float, float]] | Iterator[tuple[float, float]
 
 
 def _clipped(ground: Terrain, needed: Rectangle, wanted: Rectangle) -> Rectangle:
-    """Return ``wanted`` with each side drawn back towards ``needed`` until the terrain reaches all along it."""
-    area = np.array(needed)
-    for side in range(4):
-        room = wanted[side] - needed[side]
-        low, high = 0.0, 2.0  # shares of the room; the first tried is all of it
-        for _ in range(32):
-            share = 0.5 * (low + high)
-            area[side] = needed[side] + min(share, 1.0) * room
-            if _edge_is_reached(ground, area, side):
-                low = share
-                if share >= 1.0:
-                    break
-            else:
-                high = share
-        area[side] = needed[side] + min(low, 1.0) * room
-    west, south, east, north = area.tolist()
-    return west, south, east, north
-
-
-def _edge_is_reached(ground: Terrain, area: FloatArray, side: int) -> bool:
-    along = np.linspace(area[1 - side % 2], area[3 - side % 2], 65)
-    across = np.full_like(along, area[side])
-    return bool(ground.reaches(*((along, across) if side % 2 else (across, along))).all())
+    """Return ``wanted`` without what lies wholly beside the terrain, but with all that is needed."""
+    x, step_x = np.linspace(wanted[0], wanted[2], 257, retstep=True)
+    y, step_y = np.linspace(wanted[1], wanted[3], 257, retstep=True)
+    reached = ground.reaches(*np.meshgrid(x, y))
+    x, y = x[reached.any(axis=0)], y[reached.any(axis=1)]
+    if not len(x):
+        return wanted
+    return (
+        min(needed[0], max(wanted[0], float(x[0] - step_x))),
+        min(needed[1], max(wanted[1], float(y[0] - step_y))),
+        max(needed[2], min(wanted[2], float(x[-1] + step_x))),
+        max(needed[3], min(wanted[3], float(y[-1] + step_y))),
+    )
 
 
 def _apart_across_m(a: FloatArray, b: FloatArray) -> float:

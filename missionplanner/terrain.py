@@ -32,6 +32,7 @@ Rectangle = tuple[float, float, float, float]
 
 _LOWEST_M, _HIGHEST_M = -500.0, 9000.0  # of all land; what lies beyond is a void that nobody declared (-9999, -32768)
 _MARGIN_CELLS = 3
+_STENCIL = 4
 _MAX_CELLS = 150_000_000
 _STRIP_CELLS = 4_000_000
 _FIT_TOLERANCE_CELLS = 0.02
@@ -141,38 +142,48 @@ def _read(
 
     corners = _corners(dataset)
     to_crs = _Way(frame, horizontal, float(corners[0].mean()), name)
-    coordinates = _fit(to_crs, area, dataset.transform, name)
-    row, col = (_monomials(*_lattice(area, 65)) @ _cells(coordinates, dataset.transform).T).T
-    top, left = (max(0, math.floor(v.min()) - _MARGIN_CELLS) for v in (row, col))
-    bottom = min(dataset.height, math.ceil(row.max()) + _MARGIN_CELLS + 1)
-    right = min(dataset.width, math.ceil(col.max()) + _MARGIN_CELLS + 1)
-    if bottom - top < 4 or right - left < 4:
+    window = _window(dataset, to_crs(*_lattice(area, 65)))
+    if window is None:
         raise MissionError(
             f"terrain.file {name}: expected terrain below the mission, which lies at {_span(*_geo(frame, area))}, "
             f"got a file of {_span(*to_crs.geo(*corners))}"
         )
-    if (bottom - top) * (right - left) > _MAX_CELLS:
+    if window.height * window.width > _MAX_CELLS:
         raise MissionError(
             f"terrain.file {name}: expected at most {_MAX_CELLS} cells below the area, got "
-            f"{(bottom - top) * (right - left)}: give a smaller area, or a coarser terrain"
+            f"{window.height * window.width}: give a smaller area, or a coarser terrain"
         )
 
-    window = Window(left, top, right - left, bottom - top)
-    heights = _heights_m(dataset, window, metres_per_unit, geoid_undulation_m or 0.0)
     a, b, c, d, e, f = dataset.transform[:6]
+    left, top = window.col_off, window.row_off
     transform = Affine(a, b, c + a * left + b * top, d, e, f + d * left + e * top)
-    to_cell = _cells(coordinates, transform)
+    to_cell = _cells(_fit(to_crs, area, transform, name), transform)
+    heights = _heights_m(dataset, window, metres_per_unit, geoid_undulation_m or 0.0)
     spacing_m = _spacing_m(to_cell, area)
     return Terrain(
         arrays=TerrainArrays(heights, to_cell),
         spacing_m=spacing_m,
-        description=f"{name} ({bottom - top} x {right - left} samples {spacing_m:.3g} m apart)",
+        description=f"{name} ({window.height} x {window.width} samples {spacing_m:.3g} m apart)",
         reference=GridReference(
             crs_wkt=horizontal.to_wkt(),
             transform=tuple(transform)[:6],
             tags=tuple(sorted((k, v) for k, v in dataset.tags().items() if k != "AREA_OR_POINT")),
         ),
     )
+
+
+def _window(dataset: rasterio.DatasetReader, coordinates: tuple[FloatArray, FloatArray]) -> Window | None:
+    """Return the part of a file that holds these coordinates with their neighbours; None if there is none."""
+    a, b, c, d, e, f = (~dataset.transform)[:6]
+    col, row = a * coordinates[0] + b * coordinates[1] + c - 0.5, d * coordinates[0] + e * coordinates[1] + f - 0.5
+    if not (np.isfinite(row).all() and np.isfinite(col).all()):
+        return None
+    top, left = (max(0, math.floor(v.min()) - _MARGIN_CELLS) for v in (row, col))
+    bottom = min(dataset.height, math.ceil(row.max()) + _MARGIN_CELLS + 1)
+    right = min(dataset.width, math.ceil(col.max()) + _MARGIN_CELLS + 1)
+    if bottom - top < _STENCIL or right - left < _STENCIL:
+        return None
+    return Window(left, top, right - left, bottom - top)
 
 
 def _heights_m(

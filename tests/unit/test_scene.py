@@ -1,0 +1,445 @@
+from __future__ import annotations
+
+import copy
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from missionplanner import kernels
+from missionplanner.errors import MissionError
+from missionplanner.mission import Mission, parse_mission
+from missionplanner.scene import TERRAIN_NAME, Scene, build_scene, portable_mission
+from missionplanner.terrain import write_raster
+from tests.rasters import AREA, FRAME, hill, hill_in, write_tif
+
+FLAT: dict[str, Any] = {
+    "name": "flat",
+    "origin": {"lat_deg": 34.35, "lon_deg": -118.2},
+    "terrain": {"kind": "flat", "alt_amsl_m": 100},
+    "vehicles": [
+        {"name": "alpha", "home": {"x_m": 0, "y_m": 0}, "goal": {"x_m": 500, "y_m": 0, "alt_amsl_m": 150}},
+        {"name": "bravo", "home": {"x_m": 0, "y_m": 50}, "goal": {"x_m": 500, "y_m": 60, "height_agl_m": 40}},
+    ],
+}
+
+
+def question(**changes: Any) -> dict[str, Any]:
+    return {**copy.deepcopy(FLAT), **changes}
+
+
+def flying(*vehicles: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    """Return a mission whose vehicles differ from alpha by what is given."""
+    return question(vehicles=[{**FLAT["vehicles"][0], "name": f"v{i}", **v} for i, v in enumerate(vehicles)], **changes)
+
+
+def scene_of(data: dict[str, Any], folder: Path = Path()) -> Scene:
+    return build_scene(Mission.model_validate(data), folder)
+
+
+def problem_of(data: dict[str, Any], folder: Path = Path()) -> str:
+    with pytest.raises(MissionError) as raised:
+        scene_of(data, folder)
+    assert "\n" not in str(raised.value)
+    return str(raised.value)
+
+
+def at(x: float, y: float, alt: float | None = None, *, agl: float | None = None) -> dict[str, float]:
+    place = {"x_m": x, "y_m": y}
+    if alt is not None:
+        place["alt_amsl_m"] = alt
+    if agl is not None:
+        place["height_agl_m"] = agl
+    return place
+
+
+MAST = {"kind": "cylinder", "name": "mast", "center": at(200, 0), "radius_m": 5}
+SQUARE = [at(-100, -200), at(700, -200), at(700, 300), at(-100, 300)]
+
+
+# --- what is resolved
+
+
+def test_heights_above_ground_and_above_the_sea_are_settled() -> None:
+    alpha, bravo = scene_of(question()).tasks
+    assert alpha.home_m.tolist() == pytest.approx([0, 0, 100])
+    assert alpha.route_m[-1].tolist() == pytest.approx([500, 0, 150])
+    assert bravo.route_m[-1].tolist() == pytest.approx([500, 60, 140])
+    assert (alpha.sysid, bravo.sysid) == (1, 2)
+    assert (alpha.end, bravo.end) == ("land", "land")
+
+
+def test_places_in_degrees_are_those_in_metres() -> None:
+    point = FRAME.geo_point(np.array([500.0, 0.0, 150.0]))
+    goal = {"lat_deg": point.lat_deg, "lon_deg": point.lon_deg, "alt_amsl_m": 150}
+    (task,) = scene_of(flying({"goal": goal})).tasks
+    assert task.route_m[-1].tolist() == pytest.approx([500, 0, 150], abs=1e-6)
+
+
+def test_a_copter_climbs_straight_up_first() -> None:
+    (task,) = scene_of(flying({})).tasks
+    assert task.route_m[0].tolist() == pytest.approx([0, 0, 132])  # margin 20, tracking 2, and room 10
+    (task,) = scene_of(flying({"takeoff_height_m": 60})).tasks
+    assert task.route_m[0].tolist() == pytest.approx([0, 0, 160])
+    (task,) = scene_of(flying({"height_agl_max_m": 30, "goal": at(500, 0, agl=25)})).tasks
+    assert task.route_m[0].tolist() == pytest.approx([0, 0, 128])
+
+
+def test_a_start_above_home_is_the_top_of_the_take_off_and_another_is_flown_to() -> None:
+    (above,) = scene_of(flying({"home": at(0.5, 0), "start": at(0, 0, 155)})).tasks
+    assert above.route_m.tolist() == [[0, 0, 155], [500, 0, 150]]
+    (away,) = scene_of(flying({"start": at(30, 0, 155)})).tasks
+    assert away.route_m.tolist() == pytest.approx(np.array([[0, 0, 132], [30, 0, 155], [500, 0, 150]]))
+    data = flying({"start": at(30, 0, 155)})
+    del data["vehicles"][0]["home"]
+    (below,) = scene_of(data).tasks
+    assert below.home_m.tolist() == pytest.approx([30, 0, 100])
+    assert below.route_m.tolist() == [[30, 0, 155], [500, 0, 150]]
+
+
+def test_stops_are_flown_in_order_and_then_the_towers() -> None:
+    towers = [{"name": f"T{i}", **at(100 * i, 100), "height_m": 30} for i in range(1, 4)]
+    stops = [at(50, 20, 140), at(80, 20, 140)]
+    data = flying(
+        {"stops": stops, "inspects": {"first": "T1", "last": "T2"}},
+        {"home": at(0, 60), "goal": at(500, 80, 150), "inspects": {"first": "T3", "last": "T2"}},
+        inspection={"towers": towers, "standoff_m": 25},
+    )
+    scene = scene_of(data)
+    assert scene.tasks[0].route_m[1:].tolist() == pytest.approx(
+        np.array([[50, 20, 140], [80, 20, 140], [100, 100, 155], [200, 100, 155], [500, 0, 150]])
+    )
+    assert scene.tasks[1].route_m[1:3, 0].tolist() == [300, 200]
+    assert scene.towers is not None
+    assert scene.towers.top_m.tolist() == pytest.approx(np.array([[100, 100, 130], [200, 100, 130], [300, 100, 130]]))
+    assert scene.obstacles.names == ("T1", "T2", "T3", "span T1-T2", "span T2-T3")
+    distance = scene.obstacles.distance_m([150.0, 100.0, 150.0])
+    assert distance[3] == pytest.approx(20 - 8)
+
+
+def test_a_plane_climbs_towards_its_first_point() -> None:
+    plane = {"class": "plane", "takeoff_height_m": 50, "climb": {"angle_max_deg": 10}}
+    (task,) = scene_of(flying(plane)).tasks
+    assert task.route_m[0].tolist() == pytest.approx([50 / math.tan(math.radians(10)), 0, 150])
+    assert task.end == "loiter"
+    (task,) = scene_of(flying({**plane, "home": at(500, 0)})).tasks  # straight below its goal
+    assert task.route_m[0, 1] == pytest.approx(50 / math.tan(math.radians(10)))
+
+
+def test_every_kind_of_obstacle_stands_where_it_says() -> None:
+    obstacles = [
+        {**MAST, "center": at(100, 500), "top_height_agl_m": 30},
+        {"kind": "cone", "name": "cone", "center": at(200, 500), "base_radius_m": 20, "height_m": 40},
+        {"kind": "radar", "name": "radar", "center": at(300, 500, agl=10), "radius_m": 20, "hard": False},
+        {"kind": "marine", "name": "marine", "center": at(400, 500, 100), "radius_m": 20},
+        {"kind": "no_fly", "name": "zone", "polygon": [at(480, 480), at(520, 480), at(520, 520), at(480, 520)],
+         "top_alt_amsl_m": 150, "floor_alt_amsl_m": 120},
+        {"kind": "cable", "name": "cable", "start": at(580, 500, 120), "end": at(620, 500, agl=20), "radius_m": 1},
+    ]  # fmt: skip
+    scene = scene_of(question(obstacles=obstacles))
+    assert scene.obstacles.names == ("mast", "cone", "radar", "marine", "zone", "cable")
+    for i, top in enumerate((130, 140, 130, 120, 150, 121)):
+        x = 100 * (i + 1)
+        above = scene.obstacles.distance_m([[x, 500.0, top + 3.0]])[0, i]
+        assert above == pytest.approx(3.0)
+    assert scene.obstacles.arrays.hard.tolist() == [True, True, False, True, True, True]
+    assert scene.obstacles.distance_m([[500.0, 500.0, 118.0]])[0, 4] == pytest.approx(2.0)
+
+
+def test_tops_above_ground_count_from_the_highest_ground_of_the_footprint(tmp_path: Path) -> None:
+    hill_in(tmp_path / "hill.tif", "EPSG:32611", 10.0)
+    zone = [at(0, 0), at(400, 0), at(400, 400), at(0, 400)]
+    data = question(
+        terrain={"kind": "raster", "file": "hill.tif"},
+        obstacles=[{"kind": "no_fly", "name": "zone", "polygon": zone, "top_height_agl_m": 50}],
+        vehicles=[{"name": "a", "home": at(-500, 0), "goal": at(-500, 300, agl=50)}],
+    )
+    x, y = np.meshgrid(np.linspace(0, 400, 401), np.linspace(0, 400, 401))
+    top = scene_of(data, tmp_path).obstacles.arrays.params[0, 1]
+    assert top == pytest.approx(hill(x, y).max() + 50, abs=0.5)
+
+
+def test_the_fence_and_its_top_become_the_space() -> None:
+    scene = scene_of(question(fence={"polygon": SQUARE, "top_alt_amsl_m": 220}))
+    assert scene.area_m == (-100, -200, 700, 300)
+    assert scene.space.fence.shape == (4, 2)
+    assert scene.space.fence_top_amsl_m == 220
+    scene = scene_of(question(fence={"polygon": SQUARE, "top_height_agl_m": 90}))
+    assert scene.space.fence_top_amsl_m == math.inf
+    assert [task.limits.height_agl_max_m for task in scene.tasks] == [90, 90]
+
+
+def test_the_area_holds_everything_with_room_around() -> None:
+    assert scene_of(question()).area_m == (-300, -300, 800, 360)
+    far = [{**MAST, "center": at(0, -3000), "radius_m": 50}]
+    assert scene_of(question(obstacles=far)).area_m == pytest.approx((-50 - 622, -3050 - 622, 500 + 622, 60 + 622))
+    area = {"south_west": at(-100, -200), "north_east": at(900, 400)}
+    assert scene_of(question(area=area)).area_m == (-100, -200, 900, 400)
+
+
+def test_the_area_ends_with_the_terrain(tmp_path: Path) -> None:
+    hill_in(tmp_path / "hill.tif", "EPSG:32612", 10.0, room=-300.0)
+    data = question(terrain={"kind": "raster", "file": "hill.tif"})
+    data["vehicles"] = [{"name": "a", "home": at(-300, 0), "goal": at(300, 0, agl=50)}]
+    data["obstacles"] = [{**MAST, "center": at(0, 5000), "radius_m": 50}]
+    scene = scene_of(data, tmp_path)
+    west, south, east, north = scene.area_m
+    assert -2500 < west < -900
+    assert 1000 < north < 2500
+    x, y = np.meshgrid(np.linspace(west, east, 100), np.linspace(south, north, 100))
+    reached = scene.terrain.reaches(x, y)
+    assert reached.mean() > 0.8
+    assert reached[:, 1:-1].any(axis=0).all()
+    assert reached[1:-1].any(axis=1).all()
+
+
+# --- wrong starts, stops and goals
+
+
+@pytest.mark.parametrize(
+    ("vehicle", "problem"),
+    [
+        ({"start": at(0, 0, 90)}, "vehicles[0].start (v0): expected at least 22.0 m above the ground (terrain margin "
+         "and tracking error), got 10.0 m below it (ground 100.0 m, altitude 90.0 m AMSL): raise it by 32.0 m"),
+        ({"start": at(0, 0, 121)}, "got 21.0 m (ground 100.0 m, altitude 121.0 m AMSL): raise it by 1.0 m"),
+        ({"goal": at(500, 0, agl=-5)}, "vehicles[0].goal (v0): expected at least 22.0 m above the ground"),
+        ({"stops": [at(9, 9, agl=50), at(300, 9, agl=5)]}, "vehicles[0].stops[1] (v0): expected at least 22.0 m above"),
+        ({"takeoff_height_m": 10}, "vehicles[0].home (v0), top of the take-off: expected at least 22.0 m above the"),
+        ({"height_agl_max_m": 40}, "vehicles[0].goal (v0): expected at most 38.0 m above the ground (upper limit less"),
+        ({"alt_amsl_max_m": 140}, "vehicles[0].goal (v0): expected at most 138.0 m AMSL (upper limit less tracking er"),
+        ({"goal": at(200, 0, 150)}, "vehicles[0].goal (v0): expected at least 12.0 m from obstacle mast (safety."),
+        ({"goal": at(200, 0, 150)}, "got 5.0 m inside it: move it 17.0 m away"),
+        ({"start": at(190, 0, 150)}, "vehicles[0].start (v0): expected at least 12.0 m from obstacle mast (safety.obs"),
+        ({"start": at(190, 0, 150)}, "got 5.0 m: move it 7.0 m away"),
+        ({"stops": [at(200, 0, 150)]}, "vehicles[0].stops[0] (v0): expected at least 12.0 m from obstacle mast"),
+        ({"home": at(203, 0), "goal": at(400, 0, agl=30)}, "vehicles[0].home (v0), top of the take-off: expected at "),
+        ({"goal": at(500, 0, 100), "safety": {"terrain_m": 0}, "tracking_error_m": 0, "home": at(500, 0),
+          "start": at(500, 0, 100.5)}, "vehicles[0].goal (v0): expected a place at least 1.0 m from the one before it, "
+         "got that of vehicles[0].start (v0): remove one"),
+        ({"goal": at(1e6, 0, 150)}, "vehicles[0].goal (v0): expected a place within 100 km of the origin, got one 10"),
+        ({"home": {"lat_deg": -34.35, "lon_deg": -118.2}}, "vehicles[0].home (v0): expected a place within 100 km"),
+    ],
+)  # fmt: skip
+def test_places_that_cannot_be_flown_to_are_named(vehicle: dict[str, Any], problem: str) -> None:
+    assert problem in problem_of(flying(vehicle, obstacles=[MAST]))
+
+
+def test_the_climb_and_the_descent_must_be_clear_too() -> None:
+    cable = {"kind": "cable", "name": "wire", "start": at(-50, 0, 115), "end": at(50, 0, 115)}
+    problem = problem_of(flying({"takeoff_height_m": 60}, obstacles=[cable]))
+    assert problem.startswith(
+        "vehicles[0].home (v0), top of the take-off, the climb to it from home: expected at least 12"
+    )
+    cable = {"kind": "cable", "name": "wire", "start": at(450, 0, 115), "end": at(550, 0, 115)}
+    problem = problem_of(flying({}, obstacles=[cable]))
+    assert problem.startswith(
+        "vehicles[0].goal (v0), the descent to the ground: expected at least 12.0 m from obstacle w"
+    )
+    scene_of(flying({"end": "rtl"}, obstacles=[cable]))
+
+
+def test_a_soft_zone_may_be_entered() -> None:
+    zone = {"kind": "radar", "name": "radar", "center": at(500, 0, 150), "radius_m": 100}
+    assert "from obstacle radar" in problem_of(flying({}, obstacles=[zone]))
+    scene_of(flying({}, obstacles=[{**zone, "hard": False}]))
+
+
+def test_places_outside_the_fence_or_the_area_are_named() -> None:
+    fence = {"polygon": SQUARE}
+    problem = problem_of(flying({"goal": at(710, 0, 150)}, fence=fence))
+    assert "vehicles[0].goal (v0): expected at least 12.0 m inside the fence" in problem
+    assert "got 10.0 m outside: move it, or widen the fence" in problem
+    assert "got 8.0 m: move it" in problem_of(flying({"stops": [at(600, 292, 150)]}, fence=fence))
+    assert "vehicles[0].home (v0)" in problem_of(flying({"home": at(-95, 0)}, fence=fence))
+    assert "inside the fence" in problem_of(flying({"goal": at(500, 0, 199)}, fence={**fence, "top_alt_amsl_m": 200}))
+    area = {"south_west": at(-100, -200), "north_east": at(450, 400)}
+    assert "vehicles[0].goal (v0): expected at least 12.0 m inside the area" in problem_of(flying({}, area=area))
+    area = {"south_west": at(900, -200), "north_east": at(-100, 400)}
+    assert problem_of(flying({}, area=area)).startswith("area: expected south_west to lie south and west of north_east")
+
+
+def test_polygons_must_be_simple() -> None:
+    bow = [at(100, 100), at(200, 200), at(200, 100), at(100, 200)]
+    zone = {"kind": "no_fly", "name": "bow", "polygon": bow}
+    assert "obstacle bow: expected a polygon whose edges do not cross" in problem_of(question(obstacles=[zone]))
+    assert "fence.polygon: expected a polygon whose edges do not cross" in problem_of(question(fence={"polygon": bow}))
+    zone = {**zone, "polygon": SQUARE[:3], "floor_alt_amsl_m": 200, "top_alt_amsl_m": 150}
+    assert "obstacle bow: expected top above its floor" in problem_of(question(obstacles=[zone]))
+
+
+def test_a_stand_off_below_the_margins_is_told_with_its_tower() -> None:
+    data = flying(
+        {"inspects": {"first": "T1", "last": "T2"}},
+        inspection={"towers": [{"name": "T1", **at(100, 100)}, {"name": "T2", **at(250, 100)}], "standoff_m": 15},
+    )
+    assert problem_of(data).startswith(
+        "inspection.towers[0] (T1), stop of vehicles[0] (v0): expected at least 12.0 m from obstacle span T1-T2"
+    )
+
+
+# --- two vehicles
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "problem"),
+    [
+        ({}, {"goal": at(500, 90, 150)}, "vehicles[1].home (v1): expected at least 20 m from the home of "
+         "vehicles[0] (v0) (fleet.separation_m), got the same place: move one of them"),
+        ({}, {"home": at(0, 15), "goal": at(500, 90, 150)}, "vehicles[1].home (v1): expected at least 20 m from the "
+         "home of vehicles[0] (v0) (fleet.separation_m), got 15.0 m"),
+        ({"start": at(60, 0, 150)}, {"home": at(0, 90), "start": at(60, 0, 150), "goal": at(500, 90, 150)},
+         "vehicles[1].start (v1): expected at least 0.01 m from the start of vehicles[0] (v0) (fleet.separation_m), "),
+        ({}, {"home": at(0, 90)}, "vehicles[1].goal (v1): expected at least 20 m from the goal of vehicles[0] (v0)"),
+        ({}, {"home": at(0, 90), "goal": at(510, 0, 190)}, "vehicles[1].goal (v1): expected at least 20 m from the g"),
+        ({"end": "rtl"}, {"end": "rtl", "home": at(0, 90)}, "vehicles[1].goal (v1): expected at least 20 m from the "),
+    ],
+)  # fmt: skip
+def test_two_vehicles_need_two_places(first: dict[str, Any], second: dict[str, Any], problem: str) -> None:
+    assert problem in problem_of(flying(first, second))
+
+
+def test_vehicles_that_never_meet_may_share_a_goal() -> None:
+    alone = {"arrive_together": False}
+    scene_of(flying({"end": "rtl"}, {"end": "rtl", "home": at(0, 90)}, fleet=alone))
+    assert "goal" in problem_of(flying({"end": "land"}, {"end": "land", "home": at(0, 90)}, fleet=alone))
+    assert "goal" in problem_of(flying({"end": "loiter"}, {"end": "loiter", "home": at(0, 90)}, fleet=alone))
+    stacked = {"end": "loiter", "home": at(0, 90), "goal": at(500, 0, 180)}
+    scene_of(flying({"end": "loiter"}, stacked))
+
+
+def test_even_without_separation_no_two_homes_are_one() -> None:
+    both = ({}, {"goal": at(500, 90, 150)})
+    assert "the same place" in problem_of(flying(*both, fleet={"separation_m": 0}))
+    scene_of(flying({}, {"home": at(0, 1), "goal": at(500, 90, 150)}, fleet={"separation_m": 0}))
+
+
+# --- wrong terrain
+
+
+def on_the_hill(vehicle: dict[str, Any] | None = None, **terrain: Any) -> dict[str, Any]:
+    data = question(terrain={"kind": "raster", "file": "hill.tif", **terrain})
+    data["vehicles"] = [{"name": "a", "home": at(-500, 0), "goal": at(500, 0, agl=60), **(vehicle or {})}]
+    return data
+
+
+@pytest.mark.parametrize(("crs", "cell"), [("EPSG:32611", 10.0), ("EPSG:4326", 1 / 10800), ("EPSG:2229", 33.0)])
+def test_terrain_of_any_coordinate_system_gives_the_same_scene(tmp_path: Path, crs: str, cell: float) -> None:
+    hill_in(tmp_path / "hill.tif", crs, cell)
+    (task,) = scene_of(on_the_hill(), tmp_path).tasks
+    assert task.home_m.tolist() == pytest.approx([-500, 0, hill(-500, 0)], abs=0.01)
+    assert task.route_m[-1].tolist() == pytest.approx([500, 0, hill(500, 0) + 60], abs=0.01)
+
+
+def test_a_terrain_file_that_is_missing_or_none_is_told(tmp_path: Path) -> None:
+    assert "expected an elevation file (GeoTIFF, HGT), got no such file" in problem_of(on_the_hill(), tmp_path)
+    (tmp_path / "hill.tif").write_text("hello")
+    assert "expected an elevation file (GeoTIFF, HGT), got: " in problem_of(on_the_hill(), tmp_path)
+
+
+def test_a_place_outside_the_terrain_is_told(tmp_path: Path) -> None:
+    hill_in(tmp_path / "hill.tif", "EPSG:32611", 10.0)
+    problem = problem_of(on_the_hill({"goal": at(9000, 0, 900)}), tmp_path)
+    assert problem.startswith(
+        "vehicles[0].goal (a): expected a place within the terrain, got x 9000 m, y 0 m from the or"
+    )
+    assert "vehicles[0].home (a)" in problem_of(on_the_hill({"home": at(-9000, 0)}), tmp_path)
+    assert "vehicles[0].stops[0] (a)" in problem_of(on_the_hill({"stops": [at(0, 9000, agl=50)]}), tmp_path)
+    data = {**on_the_hill(), "origin": {"lat_deg": 0, "lon_deg": 0}}
+    assert "hill.tif: expected terrain below the mission" in problem_of(data, tmp_path)
+
+
+def test_voids_below_places_and_along_the_way_are_told(tmp_path: Path) -> None:
+    def punch(at_x: float) -> None:
+        def change(heights: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            middle = heights.shape[0] // 2
+            column = middle + round((at_x - 0.5 * (AREA[0] + AREA[2])) / 10)
+            heights[:, column - 5 : column + 5] = -9999
+            return heights
+
+        hill_in(tmp_path / "hill.tif", "EPSG:32611", 10.0, change=change, nodata=-9999)
+
+    punch(0.0)
+    problem = problem_of(on_the_hill(), tmp_path)
+    assert problem.startswith("vehicles[0].goal (a): expected heights along the way to it, got voids of hill.tif")
+    assert "for 1" in problem
+    assert "fill them" in problem
+    punch(500.0)
+    assert "vehicles[0].goal (a): expected a height below it, got a void of hill.tif" in problem_of(
+        on_the_hill(), tmp_path
+    )
+    punch(-500.0)
+    assert "vehicles[0].home (a): expected a height below it, got a void of hill.tif" in problem_of(
+        on_the_hill(), tmp_path
+    )
+    punch(900.0)
+    scene_of(on_the_hill(), tmp_path)
+
+
+def test_the_terrain_models_error_widens_the_margin(tmp_path: Path) -> None:
+    hill_in(tmp_path / "hill.tif", "EPSG:32611", 10.0)
+    (task,) = scene_of(on_the_hill(vertical_error_m=7), tmp_path).tasks
+    assert task.limits.terrain_margin_m == 27
+    assert task.route_m[0, 2] - task.home_m[2] == pytest.approx(39)
+    problem = problem_of(on_the_hill({"goal": at(500, 0, agl=25)}, vertical_error_m=7), tmp_path)
+    assert "expected at least 29.0 m above the ground" in problem
+
+
+def test_a_planes_climb_out_must_outrun_the_ground(tmp_path: Path) -> None:
+    heights = np.full((300, 300), 100.0, dtype=np.float32)
+    heights[:, 160:168] = 118.0
+    from rasterio.transform import Affine  # noqa: PLC0415
+
+    lat, lon, _ = FRAME.to_geo(np.zeros(3))
+    cell = 1 / 10800
+    write_tif(
+        tmp_path / "hill.tif", heights, Affine(cell, 0, lon - 150 * cell, 0, -cell, lat + 150 * cell), "EPSG:4326"
+    )
+    plane = {"class": "plane", "home": at(0, 0), "goal": at(600, 0, agl=80), "takeoff_height_m": 60}
+    problem = problem_of(on_the_hill(plane), tmp_path)
+    assert "top of the take-off, the climb to it from home: expected the ground to fall behind" in problem
+    scene_of(on_the_hill({**plane, "climb": {"angle_max_deg": 35}, "home": at(0, 0)}), tmp_path)
+
+
+# --- the whole as input of a plan
+
+
+def test_a_mission_is_the_same_wherever_it_is_kept(tmp_path: Path) -> None:
+    hill_in(tmp_path / "hill.tif", "EPSG:32612", 10.0)
+    data = {**on_the_hill(), "defaults": {"tracking_error_m": 1.5, "endurance_s": 600}}
+    data["vehicles"][0]["endurance_s"] = None
+    scene = scene_of(data, tmp_path)
+    folder = tmp_path / "plan"
+    write_raster(folder / TERRAIN_NAME, scene.terrain)
+    for dump in (
+        portable_mission(scene).model_dump(mode="json", by_alias=True, exclude_unset=True),
+        portable_mission(scene).model_dump(mode="json", by_alias=True),
+    ):
+        again = build_scene(parse_mission(json.dumps(dump), "plan.json"), folder)
+        assert again.input_sha256 == scene.input_sha256
+        assert again.area_m == scene.area_m
+        assert again.tasks[0].limits == scene.tasks[0].limits
+        assert np.array_equal(again.tasks[0].route_m, scene.tasks[0].route_m)
+        assert np.array_equal(again.terrain.arrays.to_cell, scene.terrain.arrays.to_cell)
+
+
+def test_the_hash_tells_missions_and_terrains_apart(tmp_path: Path) -> None:
+    hill_in(tmp_path / "hill.tif", "EPSG:32611", 10.0)
+    first = scene_of(on_the_hill(), tmp_path).input_sha256
+    assert scene_of(on_the_hill(), tmp_path).input_sha256 == first
+    assert scene_of(on_the_hill({"goal": at(500, 0, agl=60.001)}), tmp_path).input_sha256 != first
+    hill_in(tmp_path / "hill.tif", "EPSG:32611", 10.0, change=lambda h: h + np.float32(0.01))
+    assert scene_of(on_the_hill(), tmp_path).input_sha256 != first
+    hill_in(tmp_path / "hill.tif", "EPSG:32611", 10.0, room=410.0)
+    assert scene_of(on_the_hill(), tmp_path).input_sha256 != first
+
+
+def test_the_space_is_what_the_kernels_take() -> None:
+    scene = scene_of(question(obstacles=[MAST]))
+    legs = np.array([[[0.0, 0.0, 150.0], [500.0, 0.0, 150.0]]])
+    row = kernels.legs_clearance(scene.space, legs, 1.0)[0]
+    assert row[kernels.OBSTACLE] == pytest.approx(-5.0, abs=0.01)
+    assert row[kernels.HEIGHT_MIN] == pytest.approx(50.0)
