@@ -125,6 +125,8 @@ def _record_length(data: bytes, position: int) -> int:
 
 def _decode(parser: Any, frame: bytes) -> Any | None:
     try:
-        return parser.decode(bytearray(frame))
+        message = parser.decode(bytearray(frame))
     except mavlink.MAVError:
         return None
+    # what is of no known kind cannot be checked either
+    return None if message.get_type().startswith("UNKNOWN") else message

@@ -1,0 +1,92 @@
+"""Telemetry logs: readable by us and by pymavlink, also when cut short or damaged."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+from pathlib import Path
+
+import pytest
+from pymavlink import mavutil
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.telemetry_log import FleetLog, read_log
+from missionplanner.errors import MissionError
+
+EPOCH_S = 1_700_000_000.0
+
+
+def _frame(sysid: int, seq: int) -> bytes:
+    codec = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
+    codec.seq = seq % 256
+    message = mavlink.MAVLink_global_position_int_message(seq * 200, seq, -seq, 1000 * seq, 0, 0, 0, 0, 0)
+    return bytes(message.pack(codec))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    with FleetLog(tmp_path / "logs", {1: "a", 2: "b"}, EPOCH_S) as log:
+        for seq in range(50):
+            for sysid in (1, 2, 9):
+                log.write(0.2 * seq, sysid, _frame(sysid, seq))
+        assert [path.name for path in log.paths] == ["a.tlog", "b.tlog", "fleet.tlog"]
+    return tmp_path / "logs"
+
+
+def test_each_vehicle_has_its_own_log_and_all_are_merged(folder: Path) -> None:
+    for name, count in (("a", 50), ("b", 50), ("fleet", 150)):
+        log = read_log(folder / f"{name}.tlog")
+        assert len(log.records) == count
+        assert log.lost_bytes == 0
+        assert log.records[0][0] == EPOCH_S
+        assert log.records[-1][0] == pytest.approx(EPOCH_S + 9.8, abs=1e-5)
+        assert log.records[-1][1].lat == 49
+    assert {m.get_srcSystem() for _, m in read_log(folder / "b.tlog").records} == {2}
+
+
+def test_pymavlink_reads_it(folder: Path) -> None:
+    with contextlib.closing(mavutil.mavlink_connection(str(folder / "a.tlog"))) as log:
+        messages = []
+        while (message := log.recv_match()) is not None:
+            messages.append(message)
+    assert [m.lat for m in messages if m.get_type() == "GLOBAL_POSITION_INT"] == list(range(50))
+    assert messages[-1]._timestamp == pytest.approx(EPOCH_S + 9.8, abs=1e-3)
+
+
+def test_a_log_cut_short_is_read_up_to_the_cut(folder: Path) -> None:
+    path = folder / "a.tlog"
+    data = path.read_bytes()
+    path.write_bytes(data[:-5])
+    log = read_log(path)
+    assert len(log.records) == 49
+    assert 0 < log.lost_bytes < 60
+
+
+def test_damage_costs_only_what_it_hits(folder: Path) -> None:
+    path = folder / "a.tlog"
+    data = bytearray(path.read_bytes())
+    rng = random.Random(1)
+    for _ in range(5):
+        data[rng.randrange(len(data))] ^= 0xFF
+    data[700:700] = bytes(rng.randrange(256) for _ in range(300))
+    path.write_bytes(data)
+    log = read_log(path)
+    assert 40 <= len(log.records) < 50
+    assert log.lost_bytes >= 300
+    assert all(m.lat == -m.lon for _, m in log.records)
+
+
+def test_what_is_no_log_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "x.tlog").write_bytes(b"QGC WPL 110\n" * 50)
+    with pytest.raises(MissionError, match=r"x\.tlog: expected a telemetry log, got 600 bytes without any MAVLink"):
+        read_log(tmp_path / "x.tlog")
+    with pytest.raises(MissionError, match="expected a telemetry log"):
+        read_log(tmp_path / "nowhere.tlog")
+    (tmp_path / "empty.tlog").write_bytes(b"")
+    assert read_log(tmp_path / "empty.tlog").records == ()
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "logs").write_text("in the way")
+    with pytest.raises(MissionError, match="logs: expected a folder"):
+        FleetLog(tmp_path / "logs", {1: "a"}, EPOCH_S)
