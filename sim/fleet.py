@@ -18,6 +18,7 @@ from missionplanner.errors import LinkError, MissionError
 from missionplanner.geodesy import FloatArray, GeoPoint, LocalFrame
 from missionplanner.mission import VehicleSettings
 from missionplanner.motion import TICK_S, Navigator
+from missionplanner.plan import FleetPlan
 from missionplanner.vehicle import Autopilot as AutopilotName
 from missionplanner.vehicle import MotionModel, VehicleClass, motion_model
 from sim.autopilot import Autopilot, Ground
@@ -136,13 +137,13 @@ class SimFleet:
             port.endpoint.close()
 
     def advance(self, duration_s: float) -> None:
-        """Advance simulated time by a whole number of ticks, at least ``duration_s``."""
+        """Advance simulated time by a whole number of ticks, at least ``duration_s``, obeying what arrives meanwhile."""
         for _ in range(math.ceil(duration_s / TICK_S - 1e-9)):
-            self.tick()
+            self.poll()
+            self.step()
 
-    def tick(self) -> None:
-        """Obey what has arrived, then move everybody by one tick and tell of it."""
-        self.poll()
+    def step(self) -> None:
+        """Move everybody by one tick and tell of it."""
         self.navigator.step()
         self._tick += 1
         now_s = self.now_s
@@ -170,7 +171,7 @@ class SimFleet:
                     self._send(i, replies)
                     if replies:
                         self.answered = True
-                    self._wake_s[i] = min(self._wake_s[i], self._wake(i))
+                    self._wake_s[i] = -math.inf
         if self.answered:
             for port in self._ports:
                 port.flush()
@@ -239,6 +240,8 @@ class _Port:
         encoder.seq = (encoder.seq + 1) % 256
 
     def flush(self) -> None:
+        if not self._pending:
+            return
         for (_, peer), pending in self._pending.items():
             self.endpoint.send(bytes(pending), peer)
         self._pending.clear()
@@ -279,7 +282,7 @@ class LockstepClock:
             if fleet.answered:
                 self._until_s = fleet.now_s
                 return
-            fleet.tick()
+            fleet.step()  # nothing can arrive: whoever would send waits here
             if self._pace is not None:
                 time.sleep(self._pace.ahead_s(fleet.now_s))
 
@@ -305,7 +308,8 @@ def serve(fleet: SimFleet, speedup: float = 1.0, stop: Callable[[], bool] = lamb
     """Run a fleet at ``speedup`` times real time until ``stop()``; what arrives is answered at once."""
     pace = _Pace(speedup, fleet.now_s)
     while not stop():
-        fleet.tick()
+        fleet.poll()
+        fleet.step()
         due_s = time.monotonic() + pace.ahead_s(fleet.now_s)
         while (left_s := due_s - time.monotonic()) > 0.0:
             descriptors = [fd for endpoint in fleet.endpoints() for fd in endpoint.filenos()]
@@ -336,6 +340,14 @@ def sim_vehicles(
     frame = LocalFrame(home.lat_deg, home.lon_deg)
     homes = [frame.geo_point([spacing_m * i, 0.0, home.alt_amsl_m]) for i in range(count)]
     return [SimVehicle(i + 1, autopilot, vehicle_class, place, motion) for i, place in enumerate(homes)]
+
+
+def planned_vehicles(plan: FleetPlan) -> list[SimVehicle]:
+    """Return the vehicles of a plan, standing at their homes: to be simulated in ``plan.frame``."""
+    return [
+        SimVehicle(v.sysid, v.autopilot, v.vehicle_class, plan.frame.geo_point(v.home_m), v.motion)
+        for v in plan.vehicles
+    ]
 
 
 def connect_fleet(fleet: SimFleet, url: str) -> None:
