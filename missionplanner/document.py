@@ -23,7 +23,7 @@ _CONSTANTS: dict[str, bool | None] = {
 _INTEGER = re.compile(r"[-+]?[0-9]{1,18}")
 _HEXADECIMAL = re.compile(r"0x[0-9a-fA-F]{1,15}")
 _FLOAT = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-_MAX_VALUES = 1_000_000  # aliases counted as often as they are used: a small file must not fill the memory
+_MAX_VALUES = 300_000  # aliases counted as often as they are used: a small file must not fill the memory
 
 Location = Sequence[str | int]
 
@@ -102,6 +102,8 @@ class _Reader:
         if node.tag != _STRING_TAG:
             raise self._error(node, f"expected a plain value, got the tag {node.tag}: remove it")
         text: str = node.value
+        if any("\ud800" <= character <= "\udfff" for character in text):
+            text = self._joined(node)
         if node.style is not None:  # quoted or a block: text, whatever it looks like
             return text
         if text in _CONSTANTS:
@@ -113,6 +115,13 @@ class _Reader:
         if _FLOAT.fullmatch(text):
             return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
         return text
+
+    def _joined(self, node: yaml.ScalarNode) -> str:
+        """Return text whose characters JSON wrote as pairs of surrogates: YAML leaves these apart."""
+        try:
+            return str(node.value).encode("utf-16", "surrogatepass").decode("utf-16")
+        except UnicodeDecodeError as error:
+            raise self._error(node, "expected text, got half of a pair of surrogates") from error
 
     def _mapping(self, node: yaml.MappingNode) -> dict[str, Any]:
         own: dict[str, Any] = {}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Sequence
-from functools import reduce
+from functools import cache, reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -629,8 +629,11 @@ def _kinds(location: Location) -> list[str]:
     return list(_schema_at(location).get("discriminator", {}).get("mapping", {}))
 
 
+_cached_schema = cache(mission_schema)
+
+
 def _schema_at(location: Location) -> dict[str, Any]:
-    schema = mission_schema()
+    schema = _cached_schema()
 
     def resolved(part: dict[str, Any]) -> dict[str, Any]:
         choices = [c for c in part.get("anyOf", []) if c.get("type") != "null"]

@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from missionplanner.mission import VehicleSettings
+from missionplanner.vehicle import ending, motion_model, vehicle_limits
+
+
+def settings(**fields: object) -> VehicleSettings:
+    return VehicleSettings.model_validate(fields)
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "vehicle_class", "expected"),
+    [
+        ("ardupilot", "copter", (2.5, 1.0, 2.5, 1.5, 2.0, 0.0)),
+        ("px4", "copter", (3.0, 4.0, 3.0, 1.5, 10.0, 0.0)),
+        ("ardupilot", "plane", (1.5, 1.0, 5.0, 5.0, 50.0, 60.0)),
+        ("px4", "plane", (1.5, 1.0, 5.0, 5.0, 50.0, 60.0)),
+    ],
+)
+def test_without_a_word_the_autopilots_own_parameters_hold(
+    autopilot: str, vehicle_class: str, expected: tuple[float, ...]
+) -> None:
+    model = motion_model(settings(autopilot=autopilot, **{"class": vehicle_class}))
+    assert (model.autopilot, model.vehicle_class) == (autopilot, vehicle_class)
+    assert (
+        model.acceleration_m_s2,
+        model.jerk_m_s3,
+        model.climb_rate_m_s,
+        model.descent_rate_m_s,
+        model.waypoint_radius_m,
+        model.turn_radius_m,
+    ) == expected
+
+
+def test_what_the_mission_says_of_motion_holds() -> None:
+    model = motion_model(
+        settings(
+            motion={"acceleration_m_s2": 1.1, "jerk_m_s3": 2.2, "waypoint_radius_m": 3.3},
+            climb={"rate_m_s": 4.4},
+            descent={"rate_m_s": 5.5},
+            turn_radius_m=6.6,
+        )
+    )
+    assert (model.acceleration_m_s2, model.jerk_m_s3, model.waypoint_radius_m) == (1.1, 2.2, 3.3)
+    assert (model.climb_rate_m_s, model.descent_rate_m_s, model.turn_radius_m) == (4.4, 5.5, 6.6)
+
+
+def test_a_copter_is_unlimited_where_nothing_is_said() -> None:
+    limits = vehicle_limits(settings(), vertical_error_m=0.0)
+    assert (limits.speed_min_m_s, limits.speed_max_m_s) == (3.0, 10.0)
+    assert limits.climb_angle_rad == limits.descent_angle_rad == pytest.approx(math.radians(60))
+    assert (limits.turn_radius_m, limits.turn_angle_rad) == (0.0, math.pi)
+    assert (limits.terrain_margin_m, limits.obstacle_margin_m, limits.tracking_error_m) == (20.0, 10.0, 2.0)
+    assert limits.height_agl_max_m == limits.alt_amsl_max_m == limits.endurance_s == math.inf
+
+
+def test_a_planes_defaults() -> None:
+    limits = vehicle_limits(settings(**{"class": "plane"}), vertical_error_m=0.0)
+    assert (limits.speed_min_m_s, limits.speed_max_m_s) == (14.0, 22.0)
+    assert limits.climb_angle_rad == pytest.approx(math.radians(12))
+    assert limits.turn_radius_m == 60.0
+
+
+def test_what_the_mission_says_of_limits_holds() -> None:
+    limits = vehicle_limits(
+        settings(
+            speed_m_s={"min": 4, "max": 7},
+            climb={"angle_max_deg": 20},
+            descent={"angle_max_deg": 30},
+            turn_radius_m=0,
+            turn_angle_max_deg=90,
+            safety={"terrain_m": 15, "obstacle_m": 0},
+            tracking_error_m=0,
+            height_agl_max_m=120,
+            alt_amsl_max_m=-3,
+            endurance_s=600,
+            **{"class": "plane"},
+        ),
+        vertical_error_m=4.0,
+    )
+    assert (limits.speed_min_m_s, limits.speed_max_m_s) == (4, 7)
+    assert math.degrees(limits.climb_angle_rad) == pytest.approx(20)
+    assert math.degrees(limits.descent_angle_rad) == pytest.approx(30)
+    assert limits.turn_radius_m == 0  # said, so not the default of 60
+    assert math.degrees(limits.turn_angle_rad) == pytest.approx(90)
+    assert limits.terrain_margin_m == 19  # the terrain model's error comes on top
+    assert (limits.obstacle_margin_m, limits.tracking_error_m) == (0, 0)
+    assert (limits.height_agl_max_m, limits.alt_amsl_max_m, limits.endurance_s) == (120, -3, 600)
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({}, "land"),
+        ({"class": "plane"}, "loiter"),
+        ({"end": "rtl"}, "rtl"),
+        ({"class": "plane", "end": "land"}, "land"),
+    ],
+)
+def test_where_a_flight_ends(fields: dict[str, str], expected: str) -> None:
+    assert ending(settings(**fields)) == expected
