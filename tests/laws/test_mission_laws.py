@@ -58,7 +58,7 @@ MISSIONS = st.fixed_dictionaries(
 )
 TEXTS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"], exclude_characters="\ufeff\u2028\u2029"))
 JSON = st.recursive(
-    st.none() | st.booleans() | st.integers(-(10**17), 10**17) | st.floats(allow_nan=False, allow_infinity=False) | TEXTS,
+    st.one_of(st.none(), st.booleans(), st.integers(-(10**17), 10**17), st.floats(-1e300, 1e300), TEXTS),
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text("abcxyz_", min_size=1), inner, max_size=4),
     max_leaves=10,
 )  # fmt: skip
