@@ -116,7 +116,7 @@ class Price:
         Least distance from fellows.
     """
 
-    def __init__(  # noqa: PLR0917
+    def __init__(
         self,
         space: SpaceArrays,
         limits: VehicleLimits,
