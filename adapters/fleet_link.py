@@ -87,6 +87,7 @@ class VehicleStatus:
 WatchProgress = Callable[[Sequence[VehicleStatus]], None]
 
 _WAIT_S = 0.05
+_LISTEN_S = 2.5  # two heartbeats: long enough to hear a second vehicle with the same sysid
 _ANSWER_S = 7.0
 _READY_S = 180.0  # a cold GPS and a cold estimator take a minute
 _TEXT_FOR_S = 30.0  # a vehicle repeats what keeps it from arming
@@ -178,9 +179,10 @@ class FleetLink:
         LinkError
             Nobody, or not everybody answers; another autopilot or class of vehicle; two vehicles with one sysid.
         """
-        end_s = self._clock.now_s() + timeout_s
+        begun_s = self._clock.now_s()
+        self._settle(_LISTEN_S)
         while any(vehicle.heartbeat is None for vehicle in self._vehicles.values()):
-            if self._clock.now_s() >= end_s:
+            if self._clock.now_s() >= begun_s + timeout_s:
                 raise LinkError(self._missing(timeout_s))
             self._exchange()
             self._clock.wait(_WAIT_S)

@@ -40,10 +40,6 @@ class FlightRecorder:
     """One vehicle's flight. ``goal_seq`` is the mission item whose reaching is the arrival."""
 
     def __init__(self, goal_seq: int, goal_m: FloatArray, reach_m: float, frame: LocalFrame) -> None:
-        self.reached_goal = False
-        self.landed = False
-        self.rebooted = False
-        self.item: int | None = None  # MISSION_CURRENT
         self._goal_seq = goal_seq
         self._goal_m = goal_m
         self._reach_m = reach_m
@@ -51,13 +47,21 @@ class FlightRecorder:
         self._heard_s: list[float] = []  # link clock, of each position
         self._boot_s: list[float] = []  # vehicle clock
         self._geo: list[tuple[float, float, float]] = []
-        self._start_s: float | None = None  # link clock
+        self._ground_m = math.nan
+        self._begin(None)
+
+    def _begin(self, start_s: float | None) -> None:
+        self.reached_goal = False
+        self.landed = False
+        self.rebooted = False
+        self.item: int | None = None  # MISSION_CURRENT
+        self._start_s = start_s  # link clock
         self._reached_s: float | None = None
         self._before_s: float | None = None  # last seen at or before the goal's item
         self._after_s: float | None = None  # first seen past it
-        self._ground_m: float | None = None
         self._airborne = False
         self._landed_s: float | None = None
+        del self._heard_s[:-_KEPT], self._boot_s[:-_KEPT], self._geo[:-_KEPT]
 
     @property
     def position_m(self) -> FloatArray | None:
@@ -65,8 +69,10 @@ class FlightRecorder:
         return self._frame.to_local(*self._geo[-1]) if self._geo else None
 
     def start(self, now_s: float) -> None:
-        """Note the fleet's common start, in the link's clock."""
-        self._start_s = now_s
+        """Begin the record of a flight at the fleet's common start, in the link's clock."""
+        self._begin(now_s)
+        if self._geo:
+            self._ground_m = self._geo[-1][2]
 
     def receive(self, message: Any, now_s: float) -> None:
         """Take one of the vehicle's messages."""
@@ -148,14 +154,12 @@ class FlightRecorder:
             else:
                 return  # late on the link, or of another life
         alt_m = message.alt / 1e3
-        if self._start_s is None or self._ground_m is None:
-            self._ground_m = alt_m
-            del self._heard_s[:-_KEPT], self._boot_s[:-_KEPT], self._geo[:-_KEPT]
-        elif alt_m > self._ground_m + _AIRBORNE_M:
-            self._airborne = True
+        self._airborne |= self._start_s is not None and alt_m > self._ground_m + _AIRBORNE_M
         self._heard_s.append(now_s)
         self._boot_s.append(boot_s)
         self._geo.append((wire_to_degrees(message.lat), wire_to_degrees(message.lon), alt_m))
+        if self._start_s is None and len(self._boot_s) > 10 * _KEPT:
+            self._begin(None)
 
     def _at_item(self, seq: int, now_s: float) -> None:
         self.item = seq

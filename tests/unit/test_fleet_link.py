@@ -1,0 +1,392 @@
+"""A fleet on its links: what must go well, and what every failure says and leaves behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.endpoint import in_process_pair, open_endpoint
+from adapters.fleet_link import FleetLink, VehicleStatus, WallClock
+from adapters.telemetry_log import FleetLog, read_log
+from missionplanner.errors import LinkError
+from missionplanner.plan import FleetFlight
+from missionplanner.vehicle import Autopilot, Ending
+from tests.plans import fleet_plan, small_fleet, vehicle_plan
+from tests.rig import Rig
+
+
+def fly(rig: Rig) -> FleetFlight:
+    rig.upload()
+    rig.link.start()
+    return rig.link.watch()
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize("end", ["land", "rtl", "loiter"])
+def test_a_fleet_flies_its_plan(autopilot: Autopilot, end: Ending) -> None:
+    plan = small_fleet(autopilot, end=end)
+    flight = fly(Rig(plan))
+    assert [v.name for v in flight.vehicles] == ["uav1", "uav2", "uav3"]
+    spread_s = flight.arrival_spread_s
+    assert spread_s is not None
+    assert spread_s <= 0.1
+    for vehicle, flown in zip(plan.vehicles, flight.vehicles, strict=True):
+        assert flown.arrival_s is not None
+        goal_m = vehicle.waypoints_m[-1]
+        assert np.linalg.norm(flown.trajectory.at(flown.arrival_s) - goal_m) <= vehicle.motion.waypoint_radius_m + 1.0
+        np.testing.assert_allclose(flown.trajectory.position_m[0], vehicle.home_m, atol=0.1)
+        assert flown.trajectory.t_s[0] == 0.0
+        assert np.all(np.diff(flown.trajectory.t_s) > 0)
+        for waypoint_m in vehicle.waypoints_m:
+            nearest_m = np.min(np.linalg.norm(flown.trajectory.position_m - waypoint_m, axis=1))
+            assert nearest_m <= vehicle.motion.waypoint_radius_m + 1.0
+        if end == "loiter":
+            assert flown.landed_s is None
+        else:
+            assert flown.landed_s is not None
+            assert flown.landed_s > flown.arrival_s
+            down_m = vehicle.home_m if end == "rtl" else vehicle.waypoints_m[-1]
+            assert np.linalg.norm(flown.trajectory.position_m[-1, :2] - down_m[:2]) <= 2.0
+
+
+def test_progress_is_told() -> None:
+    rig = Rig(small_fleet("ardupilot", 2))
+    uploads: list[tuple[str, int, int]] = []
+    reads: list[tuple[str, int, int]] = []
+    seen: list[list[VehicleStatus]] = []
+    rig.link.connect()
+    rig.link.upload(lambda *args: uploads.append(args))
+    rig.link.verify(lambda *args: reads.append(args))
+    rig.link.start()
+    rig.link.watch(lambda fleet: seen.append(list(fleet)))
+    for told in (uploads, reads):
+        for name in ("uav1", "uav2"):
+            done = [d for n, d, _ in told if n == name]
+            assert done == sorted(done)
+            assert done[-1] == 6
+    assert {status.item for fleet in seen for status in fleet} >= {1, 3, 4, 5}
+    assert all(status.landed and status.arrived for status in seen[-1])
+    assert not seen[0][0].landed
+    assert seen[0][0].items == 6
+
+
+def test_both_directions_are_logged(tmp_path: Path) -> None:
+    plan = small_fleet("ardupilot", 2)
+    with FleetLog(tmp_path, {v.sysid: v.name for v in plan.vehicles}, 1.7e9) as log:
+        fly(Rig(plan, log=log))
+    merged = read_log(tmp_path / "fleet.tlog")
+    assert merged.lost_bytes == 0
+    for k, name in ((1, "uav1"), (2, "uav2")):
+        records = read_log(tmp_path / f"{name}.tlog").records
+        senders = {message.get_srcSystem() for _, message in records}
+        assert senders == {k, 255}
+        kinds = {message.get_type() for _, message in records}
+        assert kinds >= {"HEARTBEAT", "GLOBAL_POSITION_INT", "MISSION_ITEM_INT", "MISSION_COUNT", "COMMAND_LONG"}
+        times = [time_s for time_s, _ in records]
+        assert times == sorted(times)
+        assert 1.7e9 <= times[0] < 1.7e9 + 5.0
+    assert len(merged.records) == sum(len(read_log(tmp_path / f"uav{k}.tlog").records) for k in (1, 2))
+
+
+def test_a_bad_link_delays_but_does_not_deceive() -> None:
+    plan = small_fleet("ardupilot", 2)
+    rig = Rig(plan)
+    rig.lose(0.2, seed=5)
+    flight = fly(rig)
+    clean = fly(Rig(plan))
+    assert flight.arrival_spread_s is not None
+    assert flight.arrival_spread_s <= 0.6
+    for lossy, good in zip(flight.vehicles, clean.vehicles, strict=True):
+        assert lossy.arrival_s == pytest.approx(good.arrival_s, abs=0.6)
+
+
+def test_a_delayed_vehicle_starts_later_on_the_common_clock() -> None:
+    plan = fleet_plan(
+        vehicle_plan("first", 1),
+        vehicle_plan(
+            "second", 2, start_delay_s=15.0, home_m=(0, 60, 1200), waypoints_m=((0, 60, 1230), (240, 60, 1244.5))
+        ),
+    )
+    flight = fly(Rig(plan))
+    first, second = (v.trajectory for v in flight.vehicles)
+    assert first.at(10.0)[2] > 1215.0
+    assert second.at(14.5)[2] == pytest.approx(1200.0, abs=0.2)
+    assert second.at(27.0)[2] > 1220.0
+
+
+def test_a_mission_flown_before_begins_at_its_first_item() -> None:
+    rig = Rig(small_fleet("ardupilot", 1, end="rtl"))
+    first = fly(rig)
+    rig.link.start()
+    second = rig.link.watch()
+    assert first.vehicles[0].arrival_s == pytest.approx(second.vehicles[0].arrival_s, abs=0.11)
+
+
+def test_a_cold_vehicle_is_waited_for() -> None:
+    rig = Rig(small_fleet("ardupilot", 1), cold_start=True)
+    flight = fly(rig)
+    assert flight.vehicles[0].arrival_s is not None
+    assert rig.clock.now_s() > 42.0 + flight.vehicles[0].arrival_s
+
+
+def test_lost_news_of_the_goal_is_made_up_from_the_track() -> None:
+    plan = small_fleet("ardupilot", 1)
+    expected_s = fly(Rig(plan)).vehicles[0].arrival_s
+    rig = Rig(plan)
+    rig.pipes[0].down = lambda m: None if m.get_type() in ("MISSION_ITEM_REACHED", "STATUSTEXT") else m
+    assert fly(rig).vehicles[0].arrival_s == pytest.approx(expected_s, abs=0.5)
+    silent = Rig(plan)
+    silent.upload()
+    silent.link.start()
+    gone = ("MISSION_ITEM_REACHED", "STATUSTEXT", "MISSION_CURRENT")
+    silent.pipes[0].down = lambda m: None if m.get_type() in gone else m
+    assert silent.link.watch().vehicles[0].arrival_s == pytest.approx(expected_s, abs=2.0)
+
+
+# failures
+
+
+def test_nobody_answers() -> None:
+    ground, _ = in_process_pair("udpin:0.0.0.0:14550")
+    clock = Rig(fleet_plan()).clock
+    link = FleetLink(fleet_plan(), [ground], clock)
+    with pytest.raises(LinkError) as error:
+        link.connect(timeout_s=3.0)
+    text = str(error.value)
+    assert text.startswith("udpin:0.0.0.0:14550: expected uav1 (sysid 1) within 3 s, nobody answered; check that")
+    assert error.value.exit_code == 4
+
+
+def test_nobody_answers_in_real_time() -> None:
+    endpoint = open_endpoint("udpin:127.0.0.1:0")
+    link = FleetLink(fleet_plan(), [endpoint], WallClock([endpoint]))
+    with pytest.raises(LinkError, match="nobody answered"):
+        link.connect(timeout_s=0.2)
+    link.close()
+
+
+def test_somebody_is_missing() -> None:
+    rig = Rig(small_fleet("ardupilot", 3))
+    rig.pipes[1].down = lambda m: None
+    with pytest.raises(LinkError, match=r"expected uav2 \(sysid 2\) within 5 s, the others answered \(sysid 1, 3\)"):
+        rig.link.connect(timeout_s=5.0)
+
+
+def test_somebody_else_answers() -> None:
+    rig = Rig(fleet_plan(vehicle_plan("uav7", 7)))
+    link = FleetLink(fleet_plan(vehicle_plan("uav1", 1)), rig.pipes, rig.clock)
+    with pytest.raises(LinkError, match=r"expected uav1 \(sysid 1\) within 2 s, heard only sysid 7"):
+        link.connect(timeout_s=2.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("autopilot", 12, "expected ardupilot copter, got px4 copter"),
+        ("autopilot", 8, "expected ardupilot copter, got autopilot 8 copter"),
+        ("type", 1, "expected ardupilot copter, got ardupilot plane"),
+        ("type", 10, "expected ardupilot copter, got ardupilot MAV_TYPE 10"),
+    ],
+)
+def test_another_kind_of_vehicle_is_refused(field: str, value: int, says: str) -> None:
+    rig = Rig(fleet_plan())
+
+    def disguise(message: Any) -> Any:
+        if message.get_type() == "HEARTBEAT":
+            setattr(message, field, value)
+        return message
+
+    rig.pipes[0].down = disguise
+    with pytest.raises(LinkError, match=says):
+        rig.link.connect()
+
+
+def test_two_vehicles_with_one_sysid_are_refused() -> None:
+    rigs = [Rig(fleet_plan()), Rig(fleet_plan())]
+    link = FleetLink(fleet_plan(), [rigs[0].pipes[0], rigs[1].pipes[0]], rigs[0].clock)
+    rigs[1].sim.advance(3.0)
+    with pytest.raises(LinkError, match=r"sysid 1: expected one vehicle, heard two: .*give each vehicle its own sysid"):
+        link.connect()
+
+
+def test_an_armed_vehicle_gets_no_mission() -> None:
+    rig = Rig(fleet_plan())
+    rig.upload()
+    rig.link.start()
+    with pytest.raises(LinkError, match=r"uav1 \(sysid 1\): is armed: land and disarm it"):
+        rig.link.upload()
+
+
+def test_a_refused_item_names_vehicle_and_item() -> None:
+    rig = Rig(small_fleet("ardupilot", 2))
+
+    def wrong_frame(message: Any) -> Any:
+        if message.get_type() == "MISSION_ITEM_INT" and message.seq == 3:
+            message.frame = 99
+        return message
+
+    rig.pipes[1].up = wrong_frame
+    rig.link.connect()
+    with pytest.raises(
+        LinkError, match=r"uav2 \(sysid 2\): refused the mission: unsupported frame, item 3 .*not.* armed"
+    ):
+        rig.link.upload()
+    assert rig.armed() == [False, False]
+
+
+def test_a_mission_that_reads_back_otherwise_is_named_and_nothing_is_armed() -> None:
+    rig = Rig(small_fleet("px4", 2))
+
+    def lower(message: Any) -> Any:
+        if message.get_type() == "MISSION_ITEM_INT" and message.seq == 2:
+            message.z -= 20.0
+        return message
+
+    rig.pipes[1].up = lower
+    rig.link.connect()
+    rig.link.upload()
+    with pytest.raises(LinkError) as error:
+        rig.link.verify()
+    says = "item 2: z: sent 1230, the vehicle holds 1210 (NAV_WAYPOINT)"
+    assert str(error.value).startswith(f"uav2 (sysid 2): holds another mission than was sent: {says}")
+    assert "uav1" not in str(error.value)
+    assert str(error.value).endswith("nothing was armed")
+
+
+def test_several_failures_are_told_together() -> None:
+    rig = Rig(small_fleet("ardupilot", 3))
+    rig.link.connect()
+    for pipe in rig.pipes[1:]:
+        pipe.down = lambda m: None
+    with pytest.raises(LinkError, match=r"uav2 .*\(and 1 more: uav3 .*nothing was armed") as error:
+        rig.link.upload()
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("move_m", "says"),
+    [((30.0, 0.0, 0.0), "stands 30.0 m from its planned home"), ((0.0, 0.0, 48.0), "check the terrain's datum")],
+)
+def test_a_vehicle_elsewhere_than_planned_is_not_armed(move_m: tuple[float, float, float], says: str) -> None:
+    rig = Rig(fleet_plan())
+    home_m = np.array([0.0, 0.0, 1200.0]) + move_m
+    waypoints_m = home_m + np.array([[0.0, 0.0, 30.0], [90.0, 0.0, 30.0]])
+    moved = fleet_plan(vehicle_plan(home_m=tuple(home_m), waypoints_m=waypoints_m))
+    link = FleetLink(moved, rig.pipes, rig.clock)
+    link.connect()
+    link.upload()
+    link.verify()
+    with pytest.raises(LinkError, match=says):
+        link.start()
+    assert rig.armed() == [False]
+
+
+def test_a_vehicle_that_is_not_ready_is_not_armed_and_says_why() -> None:
+    rig = Rig(small_fleet("ardupilot", 2))
+
+    def unhealthy(message: Any) -> Any:
+        if message.get_type() == "SYS_STATUS":
+            message.onboard_control_sensors_present |= mavlink.MAV_SYS_STATUS_PREARM_CHECK
+            message.onboard_control_sensors_health &= ~mavlink.MAV_SYS_STATUS_PREARM_CHECK
+        return message
+
+    rig.pipes[1].down = unhealthy
+    rig.upload()
+    with pytest.raises(
+        LinkError, match=r"uav2 \(sysid 2\): not ready to arm within 10 s: pre-arm checks fail.*nothing was"
+    ):
+        rig.link.start(ready_timeout_s=10.0)
+    assert rig.armed() == [False, False]
+
+
+def _refuse(command: int) -> Any:
+    def edit(message: Any) -> Any:
+        if message.get_type() == "COMMAND_LONG" and message.command == command and message.param1 == 1.0:
+            message.command = 31_999  # a command that nobody knows
+        return message
+
+    return edit
+
+
+def test_one_that_will_not_arm_keeps_all_on_the_ground() -> None:
+    rig = Rig(small_fleet("ardupilot", 3))
+    rig.upload()
+    rig.pipes[1].up = _refuse(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+    with pytest.raises(LinkError) as error:
+        rig.link.start()
+    assert "uav2" in str(error.value)
+    assert str(error.value).endswith("the start was called off: all vehicles are disarmed on the ground")
+    assert rig.armed() == [False, False, False]
+
+
+def test_one_that_only_pretends_to_start_brings_the_others_down() -> None:
+    rig = Rig(small_fleet("ardupilot", 3))
+    rig.upload()
+    pretended = False
+
+    def swallow(message: Any) -> Any:
+        nonlocal pretended
+        if message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_MISSION_START:
+            pretended = True
+            return None
+        return message
+
+    def pretend(message: Any) -> Any:
+        nonlocal pretended
+        if pretended and message.get_type() == "HEARTBEAT":
+            pretended = False
+            return mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_MISSION_START, 0, target_system=255)
+        return message
+
+    rig.pipes[1].up, rig.pipes[1].down = swallow, pretend
+    with pytest.raises(LinkError) as error:
+        rig.link.start()
+    assert "uav2 (sysid 2): accepted the start but does not fly its mission (mode 4, armed)" in str(error.value)
+    assert "uav1, uav3 told to land" in str(error.value)
+    rig.sim.advance(60.0)
+    assert rig.armed() == [False, False, False]
+
+
+def test_one_that_vanishes_in_flight_does_not_stop_the_watch_of_the_others() -> None:
+    rig = Rig(small_fleet("ardupilot", 3))
+    rig.upload()
+    rig.link.start()
+    rig.sim.advance(20.0)
+    rig.pipes[1].down = lambda m: None
+    with pytest.raises(LinkError, match=r"uav2 \(sysid 2\): not heard for \d+ s, .*it flies on by itself"):
+        rig.link.watch()
+    flight = rig.link.flight()
+    assert [v.arrival_s is None for v in flight.vehicles] == [False, True, False]
+    assert [v.landed_s is None for v in flight.vehicles] == [False, True, False]
+
+
+def test_a_link_that_comes_back_loses_nothing_but_the_track_between() -> None:
+    rig = Rig(small_fleet("ardupilot", 1))
+    expected = fly(Rig(small_fleet("ardupilot", 1))).vehicles[0]
+    rig.upload()
+    rig.link.start()
+    begun_s = rig.clock.now_s()
+
+    def broken(message: Any) -> Any:
+        return None if 20.0 <= rig.clock.now_s() - begun_s <= 50.0 else message
+
+    rig.pipes[0].down = broken
+    flown = rig.link.watch().vehicles[0]
+    assert flown.landed_s == pytest.approx(expected.landed_s, abs=0.2)
+    assert flown.arrival_s is not None
+    assert 20.0 <= flown.arrival_s <= 51.0
+
+
+def test_an_order_to_land_is_obeyed() -> None:
+    rig = Rig(small_fleet("px4", 2))
+    rig.upload()
+    rig.link.start()
+    rig.sim.advance(15.0)
+    rig.link.order("land")
+    flight = rig.link.watch()
+    assert all(v.landed_s is not None for v in flight.vehicles)
+    assert all(v.arrival_s is None for v in flight.vehicles)
