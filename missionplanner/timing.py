@@ -1,4 +1,4 @@
-"""When vehicles arrive: predicted flights, arrival windows, a common arrival, the speeds for it, and how far apart they stay.
+"""When vehicles arrive: predicted flights, arrival windows, a common arrival and its speeds; how far apart they stay.
 
 All times come from the motion model (:mod:`.motion`), never from length over speed: real vehicles accelerate, slow down
 in corners and look only one leg ahead (PAPER.md eq. 10 with a motion model).
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +17,7 @@ from numba import njit
 
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
-from missionplanner.motion import Navigator, Route, fly, landing_points, return_points, takeoff_points
+from missionplanner.motion import Navigator, Route, landing_points, return_points, takeoff_points
 from missionplanner.plan import Trajectory
 from missionplanner.vehicle import Ending, MotionModel
 
@@ -53,7 +54,7 @@ def predict_flight(
             if end == "land"
             else return_points(model, here, home, speed_m_s)
         )
-        parts.append(fly(navigator, way)[0])
+        parts.append(navigator.fly(way)[0])
     t_s = [np.zeros(1)] if start_delay_s > 0.0 else []
     position_m = [home[None]] if start_delay_s > 0.0 else []
     begin_s = start_delay_s
@@ -69,11 +70,11 @@ def _outbound(
     navigator: Navigator, model: MotionModel, home: FloatArray, waypoints: FloatArray, speed_m_s: float
 ) -> tuple[list[Trajectory], FloatArray]:
     """Fly take-off and legs; return their trajectories and when the waypoints were reached, without delay."""
-    takeoff, times = fly(navigator, takeoff_points(model, home, waypoints[0], speed_m_s))
+    takeoff, times = navigator.fly(takeoff_points(model, home, waypoints[0], speed_m_s))
     parts = [takeoff]
     reached_s = np.array([times[-1]])
     if len(waypoints) > 1:
-        legs, times = fly(navigator, Route.through(waypoints[1:], speed_m_s))
+        legs, times = navigator.fly(Route.through(waypoints[1:], speed_m_s))
         parts.append(legs)
         reached_s = np.concatenate([reached_s, float(takeoff.t_s[-1]) + times])
     return parts, reached_s
@@ -135,7 +136,7 @@ def common_arrival(
         )
     if requested_s > latest[fast]:
         raise InfeasibleError(
-            f"fleet.arrival_time_s: {requested_s:g} s is too late: {fast} cannot take longer than {latest[fast]:.1f} s; "
+            f"fleet.arrival_time_s: {requested_s:g} s is too late: {fast} takes at most {latest[fast]:.1f} s; "
             f"ask for {earliest[slow]:.1f} to {math.floor(latest[fast] * 10) / 10:.1f} s or lower its least speed"
         )
     return requested_s
@@ -167,7 +168,7 @@ def speed_for_arrival(
         if min(map(abs, tried.values())) > ARRIVAL_TOLERANCE_S:  # a jump: perhaps the time is also met elsewhere
             grid = np.unique(np.linspace(low, high, 65).astype(int)).tolist()
             tried.update({steps: lateness(steps) for steps in grid})
-            for a, b in zip(grid[:-1], grid[1:], strict=True):
+            for a, b in pairwise(grid):
                 if tried[a] > 0.0 > tried[b] or tried[a] < 0.0 < tried[b]:
                     _bisect(lateness, a, b, tried)
     best = min(tried, key=lambda steps: (abs(tried[steps]), steps))
@@ -222,7 +223,7 @@ def least_separation(trajectories: Sequence[Trajectory]) -> list[Separation]:
 
 
 @njit(cache=True)
-def _closest(t_a, a, t_b, b):
+def _closest(t_a: FloatArray, a: FloatArray, t_b: FloatArray, b: FloatArray) -> tuple[float, float]:
     """Return the least distance of two piecewise linear motions, and when."""
     i = 0
     j = 0
@@ -263,11 +264,11 @@ def _closest(t_a, a, t_b, b):
 
 
 @njit(cache=True)
-def _at(times, positions, k, t, axis):
+def _at(times: FloatArray, positions: FloatArray, k: int, t: float, axis: int) -> float:
     """Return one coordinate at ``t``, in the segment that ends at sample ``k``."""
-    if k == 0:
-        return positions[0, axis]
-    if k == len(times):
-        return positions[k - 1, axis]
-    share = (t - times[k - 1]) / (times[k] - times[k - 1])
-    return positions[k - 1, axis] + share * (positions[k, axis] - positions[k - 1, axis])
+    after = float(positions[min(k, len(times) - 1), axis])
+    before = float(positions[max(k - 1, 0), axis])
+    if k in (0, len(times)):
+        return after
+    share = float((t - times[k - 1]) / (times[k] - times[k - 1]))
+    return before + share * (after - before)
