@@ -13,7 +13,7 @@ from functools import cache, reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, Strict, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from missionplanner.document import Document, Location, parse_document
@@ -44,8 +44,13 @@ class Origin(Model):
     lon_deg: Longitude
 
 
+_ONE_WAY_TO_SAY_WHERE: list[JsonValue] = [{"required": ["lat_deg", "lon_deg"]}, {"required": ["x_m", "y_m"]}]
+
+
 class Place(Model):
     """A place on the map."""
+
+    model_config = ConfigDict(json_schema_extra={"oneOf": _ONE_WAY_TO_SAY_WHERE})
 
     lat_deg: Latitude | None = None
     lon_deg: Longitude | None = None
@@ -63,6 +68,15 @@ class Place(Model):
 
 class Point(Place):
     """A place with a height: exactly one of ``alt_amsl_m`` and ``height_agl_m``."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "allOf": [
+                {"oneOf": _ONE_WAY_TO_SAY_WHERE},
+                {"oneOf": [{"required": ["alt_amsl_m"]}, {"required": ["height_agl_m"]}]},
+            ]
+        }
+    )
 
     alt_amsl_m: Number | None = None
     height_agl_m: Number | None = None
@@ -282,7 +296,7 @@ class VehicleSettings(Model):
     )
     motion: Motion = Motion()
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True)
+    model_config = ConfigDict(populate_by_name=True)
 
 
 class Vehicle(VehicleSettings):

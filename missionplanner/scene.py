@@ -114,7 +114,7 @@ def _input_sha256(question: Mission, ground: Terrain) -> str:
     digest = hashlib.sha256(_portable(question).model_dump_json(by_alias=True).encode())
     heights = ground.arrays.height_amsl_m
     digest.update(repr((heights.shape, ground.reference.transform)).encode())
-    digest.update(np.where(np.isnan(heights), np.float32(np.nan), heights).astype("<f4").tobytes())
+    digest.update(heights.astype("<f4", copy=False).data)
     return digest.hexdigest()
 
 
@@ -514,11 +514,11 @@ class _Builder:
                     f"{_named(i, vehicles[i])} (fleet.separation_m), got {got}: move one of them"
                 )
 
+        starts = [self._position(v.start, _named(i, v, "start")) if v.start else None for i, v in enumerate(vehicles)]
         for (i, a), (j, b) in itertools.combinations(enumerate(tasks), 2):
-            starts = vehicles[i].start, vehicles[j].start
-            if starts[0] is not None and starts[1] is not None:
-                p, q = (self._position(s, "start") for s in starts if s is not None)
-                check(i, j, "start", float(np.linalg.norm(p - q)), 0.0)
+            start_a, start_b = starts[i], starts[j]
+            if start_a is not None and start_b is not None:
+                check(i, j, "start", float(np.linalg.norm(start_a - start_b)), 0.0)
             check(i, j, "home", _apart_across_m(a.home_m, b.home_m), separation_m)
             goal_a, goal_b = a.route_m[-1], b.route_m[-1]
             if a.end == b.end == "land":
