@@ -570,6 +570,8 @@ class Autopilot:
             x, y = float(here[0]), float(here[1])
         else:
             x, y, _ = map(float, self._frame.to_local(wire_to_degrees(item.x), wire_to_degrees(item.y), 0.0))
+        if not (math.isfinite(x) and math.isfinite(y)):  # the other side of the earth has no place in the frame
+            x, y = float(here[0]), float(here[1])
         match item.frame:
             case mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT | mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT:
                 datum_m = float(self.home_m[2])

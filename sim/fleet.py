@@ -137,7 +137,7 @@ class SimFleet:
             port.endpoint.close()
 
     def advance(self, duration_s: float) -> None:
-        """Advance simulated time by a whole number of ticks, at least ``duration_s``, obeying what arrives meanwhile."""
+        """Advance simulated time by whole ticks, at least ``duration_s``, obeying what arrives meanwhile."""
         for _ in range(math.ceil(duration_s / TICK_S - 1e-9)):
             self.poll()
             self.step()

@@ -26,6 +26,7 @@ from sim.telemetry import Motion, Telemetry
 COMPONENT_ID = int(mavlink.MAV_COMP_ID_AUTOPILOT1)
 
 _TEXT_MAX = 50
+_ALT_MAX_M = 83_000.0
 _PARAMETERS_PER_POLL = 25
 _FTP_NAK = 129
 _FTP_FILE_NOT_FOUND = 10
@@ -253,7 +254,7 @@ class VehicleLink:
     def _guided_item(self, message: Any, link: Link, now_s: float) -> list[Outgoing]:
         """Obey the old way of flying to a point: a MISSION_ITEM with current = 2."""
         place = self._place(message.x, message.y, message.z, message.frame)
-        result = self.autopilot.go_to(place, now_s)
+        result = _DENIED if place is None else self.autopilot.go_to(place, now_s)
         ack = mavlink.MAV_MISSION_ACCEPTED if result == _ACCEPTED else mavlink.MAV_MISSION_ERROR
         sender = message.get_srcSystem(), message.get_srcComponent()
         return [(link, mavlink.MAVLink_mission_ack_message(*sender, ack))]
@@ -262,15 +263,20 @@ class VehicleLink:
         del link
         if message.type_mask & _IGNORE_POSITION == 0 and self.autopilot.mode.behaviour is Behaviour.GUIDED:
             place = self._place(message.lat_int * 1e-7, message.lon_int * 1e-7, message.alt, message.coordinate_frame)
-            self.autopilot.go_to(place, now_s)
+            if place is not None:
+                self.autopilot.go_to(place, now_s)
         return []
 
-    def _place(self, lat_deg: float, lon_deg: float, alt_m: float, frame: int) -> FloatArray:
-        """Return a position (3,); 0/0 or NaN is the place it is, NaN the altitude it is at."""
+    def _place(self, lat_deg: float, lon_deg: float, alt_m: float, frame: int) -> FloatArray | None:
+        """Return a position (3,); 0/0 or NaN is the place it is, NaN the altitude it is at. None: not on this earth."""
         here = self.autopilot.position_m
         x, y = float(here[0]), float(here[1])
+        if abs(lat_deg) > 90.0 or abs(lon_deg) > 180.0 or abs(alt_m) > _ALT_MAX_M:
+            return None
         if math.isfinite(lat_deg) and math.isfinite(lon_deg) and (lat_deg, lon_deg) != (0.0, 0.0):
             x, y, _ = map(float, self._frame.to_local(lat_deg, lon_deg, 0.0))
+        if not (math.isfinite(x) and math.isfinite(y)):  # the other side of the earth has no place in the frame
+            return None
         if not math.isfinite(alt_m):
             return np.array([x, y, here[2]])
         datum_m = float(self.autopilot.home_m[2]) if frame in _RELATIVE_FRAMES else 0.0
@@ -391,7 +397,10 @@ class VehicleLink:
         del replies
         alt_amsl_m = None
         if math.isfinite(command.z) and command.z != 0.0:
-            alt_amsl_m = float(self._place(0.0, 0.0, command.z, command.frame)[2])
+            top_m = self._place(0.0, 0.0, command.z, command.frame)
+            if top_m is None:
+                return _DENIED
+            alt_amsl_m = float(top_m[2])
         return self.autopilot.takeoff(alt_amsl_m, now_s)
 
     def _do_behave(self, behaviour: Behaviour, now_s: float) -> int:
@@ -408,7 +417,8 @@ class VehicleLink:
             return _DENIED
         speed_m_s = command.params[0] if command.params[0] > 0.0 else None
         frame = command.frame if self.autopilot.personality.autopilot == "ardupilot" else mavlink.MAV_FRAME_GLOBAL
-        return self.autopilot.go_to(self._place(command.x, command.y, command.z, frame), now_s, speed_m_s)
+        place = self._place(command.x, command.y, command.z, frame)
+        return _DENIED if place is None else self.autopilot.go_to(place, now_s, speed_m_s)
 
     def _do_pause_continue(self, command: _Command, now_s: float, replies: list[Any]) -> int:
         del replies
@@ -426,9 +436,8 @@ class VehicleLink:
         del now_s, replies
         if command.params[0] == 1.0:
             return self.autopilot.set_home(self.autopilot.position_m)
-        if not all(map(math.isfinite, (command.x, command.y, command.z))):
-            return _DENIED
-        return self.autopilot.set_home(self._place(command.x, command.y, command.z, mavlink.MAV_FRAME_GLOBAL))
+        place = self._place(command.x, command.y, command.z, mavlink.MAV_FRAME_GLOBAL)
+        return _DENIED if place is None else self.autopilot.set_home(place)
 
     def _do_set_mission_current(self, command: _Command, now_s: float, replies: list[Any]) -> int:
         seq = command.params[0]

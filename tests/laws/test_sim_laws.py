@@ -1,0 +1,102 @@
+"""Whatever is sent to a vehicle, it stays a vehicle."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.mission_items import MissionItem
+from missionplanner.vehicle import Autopilot
+from sim.personality import personality
+from tests.simulated import LAT, LON, Ground, item_message, mission, of_type, renumbered
+
+AUTOPILOTS = st.sampled_from(["ardupilot", "px4"])
+FLOATS = st.floats(width=32)
+COMMANDS = st.sampled_from(sorted(personality("ardupilot", "copter").transfer.commands)) | st.integers(0, 65_535)
+ITEMS = st.builds(
+    MissionItem,
+    seq=st.just(0),
+    frame=st.integers(0, 12),
+    command=COMMANDS,
+    param1=FLOATS,
+    param2=FLOATS,
+    param3=FLOATS,
+    param4=FLOATS,
+    x=st.integers(LAT - 20_000, LAT + 20_000) | st.integers(-(2**31), 2**31 - 1),
+    y=st.integers(LON - 20_000, LON + 20_000) | st.integers(-(2**31), 2**31 - 1),
+    z=st.floats(0.0, 2000.0, width=32) | FLOATS,
+    current=st.integers(0, 1),
+)
+LAW = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+@LAW
+@given(AUTOPILOTS, ITEMS)
+def test_what_is_accepted_is_stored_once_and_for_all(autopilot: Autopilot, item: MissionItem) -> None:
+    """An accepted item reads back as a fixed point: uploading the read-back changes nothing more."""
+    kind = personality(autopilot, "copter")
+    if item.command in kind.transfer.commands and item.frame in kind.transfer.frames and kind.check(item) == 0:
+        once = kind.stored(item)
+        assert repr(kind.stored(once)) == repr(once)
+        if not math.isclose(once.z, item.z, abs_tol=0.0101):
+            assert once.z == 0.0  # of an item without a place
+        assert (once.x, once.y) in {(item.x, item.y), (0, 0)}
+
+
+@LAW
+@given(AUTOPILOTS, st.lists(ITEMS, min_size=1, max_size=8), st.integers(0, 9))
+def test_no_mission_makes_a_vehicle_crash(autopilot: Autopilot, items: list[MissionItem], skip: int) -> None:
+    """Any mission is refused, or flown with finite positions and never below the ground."""
+    ground = Ground(autopilot)
+    valid = mission(autopilot)
+    result = ground.upload(renumbered([*valid[: len(valid) - skip % 3], *items]))
+    assert 0 <= result <= 15
+    ground.mode("GUIDED" if autopilot == "ardupilot" else "POSCTL")
+    ground.arm()
+    ground.start()
+    ground.run(30.0)
+    assert np.isfinite(ground.autopilot.position_m).all()
+    ground.command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH)
+    ground.run(5.0)
+    assert np.isfinite(ground.autopilot.position_m).all()
+
+
+@LAW
+@given(AUTOPILOTS, st.lists(st.tuples(st.integers(0, 6), st.booleans()), max_size=25))
+def test_an_upload_is_accepted_only_when_every_item_has_come(
+    autopilot: Autopilot, sent: list[tuple[int, bool]]
+) -> None:
+    """Items in any order, repeated or left out: the vehicle never acknowledges a mission that it does not hold."""
+    ground = Ground(autopilot)
+    items = mission(autopilot)
+    ground.send(mavlink.MAVLink_mission_count_message(1, 1, len(items)))
+    wanted = 0
+    accepted = False
+    for seq, pause in sent:
+        if pause:
+            ground.run(0.3)
+        index = min(seq, len(items) - 1)
+        replies = ground.send(item_message(items[index]))
+        if not accepted and index == wanted:
+            wanted += 1
+        accepted = accepted or any(m.type == 0 for m in of_type(replies, "MISSION_ACK"))
+        assert accepted == (wanted == len(items))
+    if accepted:
+        assert len(ground.vehicle.missions.items()) == len(items)
+
+
+@LAW
+@given(AUTOPILOTS, st.binary(max_size=300), st.integers(0, 300), st.integers(0, 255))
+def test_mutated_frames_are_survived(autopilot: Autopilot, noise: bytes, where: int, byte: int) -> None:
+    ground = Ground(autopilot)
+    frame = bytearray(item_message(replace(mission(autopilot)[0])).pack(ground._encoder))
+    frame[where % len(frame)] = byte
+    ground._pipe.send(noise + bytes(frame))
+    ground.fleet.poll()
+    ground.run(0.1)
+    assert not ground.autopilot.armed
