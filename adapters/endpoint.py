@@ -7,9 +7,11 @@ from whom, what is sent says to whom. Connection URLs are read in both usual spe
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import socket
+import time
 from collections import deque
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
@@ -25,6 +27,7 @@ Kind = Literal["udpin", "udpout", "tcpin", "tcpout", "serial"]
 _DATAGRAM_MAX = 65_535
 _UNREAD_MAX = 1 << 20  # a TCP client that has not read this much is taken for dead
 _TCP_CONNECT_TIMEOUT_S = 5.0
+_TCP_RETRY_S = 1.0
 _DEFAULT_PORT: dict[Kind, int] = {"udpin": 14550, "udpout": 14550, "tcpin": 5760, "tcpout": 5760, "serial": 0}
 _DEFAULT_BAUD = 57_600
 _SCHEMES: dict[str, Kind] = {
@@ -284,23 +287,25 @@ class TcpServer:
 
 
 class TcpClient:
-    """A TCP connection to a server, which is its only peer."""
+    """A TCP connection to a server, which is its only peer; it is made anew when it breaks."""
 
     def __init__(self, address: Address) -> None:
-        family, target = _resolve(address, socket.SOCK_STREAM)
-        connection = socket.socket(family, socket.SOCK_STREAM)
+        self._address = address
+        self._family, self._target = _resolve(address, socket.SOCK_STREAM)
+        self._peer: Peer = self._target
+        connection = socket.socket(self._family, socket.SOCK_STREAM)
         connection.settimeout(_TCP_CONNECT_TIMEOUT_S)
         try:
-            connection.connect(target)
+            connection.connect(self._target)
         except OSError as error:
             connection.close()
             raise LinkError(
                 f"{address}: expected a vehicle listening there, got: {error.strerror or error}; "
                 "start the vehicle or simulator first, or correct the address"
             ) from error
-        self._address = address
-        self._peer: Peer = target
         self._stream = _Stream(connection)
+        self._closed = False
+        self._retry_s = 0.0
 
     @property
     def url(self) -> str:
@@ -308,12 +313,21 @@ class TcpClient:
         return str(self._address)
 
     def receive(self) -> list[tuple[bytes, Peer]]:
-        """Return what the server sent."""
+        """Return what the server sent; try, about once a second, to get a broken connection back."""
         data = self._stream.receive() if self._stream.open else b""
+        if not self._stream.open and not self._closed and time.monotonic() >= self._retry_s:
+            self._retry_s = time.monotonic() + _TCP_RETRY_S
+            connection = socket.socket(self._family, socket.SOCK_STREAM)
+            connection.setblocking(False)
+            # in progress at best: reading fails, and closes it again, should it come to nothing
+            if connection.connect_ex(self._target) in (0, errno.EINPROGRESS, errno.EWOULDBLOCK):
+                self._stream = _Stream(connection)
+            else:
+                connection.close()
         return [(data, self._peer)] if data else []
 
     def send(self, data: bytes, peer: Peer | None = None) -> None:
-        """Send to the server; nothing happens once it has closed the connection."""
+        """Send to the server; lost while the connection is broken."""
         if self._stream.open and peer in (None, self._peer):
             self._stream.send(data)
 
@@ -322,7 +336,8 @@ class TcpClient:
         return [self._stream.socket.fileno()] if self._stream.open else []
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the connection for good."""
+        self._closed = True
         self._stream.close()
 
 

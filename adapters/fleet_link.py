@@ -33,6 +33,8 @@ Steps = Generator[None, None, None]  # something that goes on over time: yields 
 Order = Literal["auto", "hold", "land", "rtl"]
 TransferProgress = Callable[[str, int, int], None]
 """Called with a vehicle's name, its items transferred and the count of them."""
+ReadyProgress = Callable[[str, str], None]
+"""Called with a vehicle's name and what it still lacks to be armed, "ready" in the end; whenever that changes."""
 
 
 class Clock(Protocol):
@@ -96,6 +98,7 @@ _START_RETRY_S = 0.25
 _ARM_S = 8.0  # an armed copter left idle disarms after 10 s
 _ARM_EARLY_S = 4.0  # before a delayed start
 _LOST_S = 60.0
+_RETURNED_M = 150.0
 _PROGRESS_S = 0.5
 
 _CUSTOM_MODE = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
@@ -215,7 +218,7 @@ class FleetLink:
         goings = {sysid: self._verifying(vehicle, progress) for sysid, vehicle in self._vehicles.items()}
         self._together(goings, after_failure="nothing was armed")
 
-    def start(self, ready_timeout_s: float = _READY_S) -> None:
+    def start(self, progress: ReadyProgress | None = None, *, ready_timeout_s: float = _READY_S) -> None:
         """Wait until all can be armed, arm all, then start all in one burst: all or none.
 
         Vehicles with a start delay are armed and started that much later; this returns when all are in their missions.
@@ -226,7 +229,7 @@ class FleetLink:
             A vehicle is not ready, stands elsewhere than planned, or does not start; the message says who flies.
         """
         self._together(
-            {sysid: self._preparing(vehicle, ready_timeout_s) for sysid, vehicle in self._vehicles.items()},
+            {sysid: self._preparing(vehicle, ready_timeout_s, progress) for sysid, vehicle in self._vehicles.items()},
             after_failure="nothing was armed",
         )
         first = {k: v for k, v in self._vehicles.items() if v.plan.start_delay_s <= 0.0}
@@ -322,18 +325,23 @@ class FleetLink:
             command = _command_at(vehicle.items, wrong[0].seq)
             raise vehicle.error(f"holds another mission than was sent: {wrong[0]}{command}{more}; upload it again")
 
-    def _preparing(self, vehicle: _Vehicle, timeout_s: float) -> Steps:
+    def _preparing(self, vehicle: _Vehicle, timeout_s: float, progress: ReadyProgress | None) -> Steps:
         for number, interval_s in _MESSAGE_INTERVALS_S.items():
             # one that will not be set comes at the vehicle's own rate
             yield from self._commanding(vehicle, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, interval_s * 1e6)
         end_s = self._clock.now_s() + timeout_s
+        told = ""
         while (missing := vehicle.not_ready(self._clock.now_s())) is not None:
             if self._clock.now_s() >= end_s:
                 raise vehicle.error(f"not ready to arm within {timeout_s:.0f} s: {missing}")
+            if progress is not None and missing != told:
+                progress(vehicle.plan.name, told := missing)
             yield
         self._check_home(vehicle)
         yield from self._rewinding(vehicle)
         yield from self._switching(vehicle, "hold")
+        if progress is not None:
+            progress(vehicle.plan.name, "ready")
 
     def _rewinding(self, vehicle: _Vehicle) -> Steps:
         """Set the first item as the current one: the vehicle may have flown this mission before."""
@@ -538,7 +546,18 @@ class _Vehicle:
     @property
     def ended(self) -> bool:
         """Whether it has done all that its plan asks."""
-        return self.recorder.landed or (self.plan.end == "loiter" and self.recorder.reached_goal)
+        if self.recorder.landed or not self.recorder.reached_goal:
+            return self.recorder.landed
+        if self.plan.end == "loiter":
+            return True
+        # a plane that has returned circles above home until somebody lands it
+        position_m = self.recorder.position_m
+        return (
+            self.plan.vehicle_class == "plane"
+            and self.plan.end == "rtl"
+            and position_m is not None
+            and float(np.hypot(*(position_m - self.plan.home_m)[:2])) <= _RETURNED_M
+        )
 
     def in_mode(self, order: Order) -> bool:
         return self.custom_mode == self.modes[order]

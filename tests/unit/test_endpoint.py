@@ -145,6 +145,29 @@ def test_tcp_keeps_what_the_system_will_not_take_yet() -> None:
         server.close()
 
 
+def test_a_broken_tcp_connection_comes_back() -> None:
+    server = open_endpoint("tcpin:127.0.0.1:0")
+    client = open_endpoint(server.url.replace("tcpin", "tcp"))
+    url = server.url
+    server.close()
+    deadline = time.monotonic() + 10.0
+    while client.filenos() and time.monotonic() < deadline:
+        client.receive()
+    again = open_endpoint(url)
+    try:
+        received: list[bytes] = []
+        while not received and time.monotonic() < deadline:
+            client.receive()
+            client.send(b"here again")
+            received = [data for data, _ in again.receive()]
+            time.sleep(0.01)
+        assert received[0].startswith(b"here again")
+    finally:
+        client.close()
+        again.close()
+    assert client.receive() == []
+
+
 def test_in_process_ends_hear_each_other_only() -> None:
     ground, vehicle = in_process_pair("uav1")
     vehicle.send(b"a")

@@ -126,9 +126,26 @@ def test_a_mission_flown_before_begins_at_its_first_item() -> None:
     assert first.vehicles[0].arrival_s == pytest.approx(second.vehicles[0].arrival_s, abs=0.11)
 
 
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize("end", ["rtl", "loiter"])
+def test_planes_end_in_a_circle(autopilot: Autopilot, end: Ending) -> None:
+    waypoints_m = ((200.0, 0.0, 1235.0), (600.0, 0.0, 1250.0), (1200.0, 0.0, 1240.0))
+    plan = fleet_plan(
+        vehicle_plan(autopilot=autopilot, vehicle_class="plane", end=end, waypoints_m=waypoints_m, speed_m_s=18.0)
+    )
+    [flown] = fly(Rig(plan)).vehicles
+    assert flown.arrival_s is not None
+    assert 60.0 <= flown.arrival_s <= 90.0
+
+
 def test_a_cold_vehicle_is_waited_for() -> None:
     rig = Rig(small_fleet("ardupilot", 1), cold_start=True)
-    flight = fly(rig)
+    rig.upload()
+    said: list[tuple[str, str]] = []
+    rig.link.start(lambda *args: said.append(args))
+    flight = rig.link.watch()
+    assert said[-1] == ("uav1", "ready")
+    assert len(said) > 1
     assert flight.vehicles[0].arrival_s is not None
     assert rig.clock.now_s() > 42.0 + flight.vehicles[0].arrival_s
 
