@@ -131,9 +131,9 @@ def test_a_misspelt_field_is_named_with_its_line(data: dict[str, Any], draw: st.
         raise AssertionError("a misspelt field was taken")
     except MissionError as error:
         message = str(error)
-    assert f"{at[-1]}_q" in message or "more: " in message
+    assert f"{at[-1]}_q" in message
     line = next(n for n, line in enumerate(text.splitlines(), 1) if f"{at[-1]}_q:" in line)
-    assert message.startswith(f"m.yaml:{line}: ") or f"line {line}: " in message or "; ..." in message
+    assert message.startswith(f"m.yaml:{line}: ") or f"line {line}: " in message
 
 
 @settings(deadline=None)

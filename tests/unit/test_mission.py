@@ -305,3 +305,20 @@ def test_the_schema_knows_every_field_and_refuses_others() -> None:
     assert set(schema["$defs"]["VehicleSettings"]["properties"]) < set(vehicle["properties"])
     assert schema["$defs"]["Cylinder"]["properties"]["radius_m"]["exclusiveMinimum"] == 0
     assert json.loads(json.dumps(schema)) == schema
+
+
+def test_the_line_of_a_merged_field_is_where_it_was_written() -> None:
+    text = SMALL.replace("safety: {terrain_m: 15}", "safety: &safe\n    terrain_m: -15")
+    text = text.replace("safety: {obstacle_m: 4}", "safety: {<<: *safe, obstacle_m: 4}")
+    with pytest.raises(MissionError) as raised:
+        parse_mission(text, "m.yaml")
+    line = line_of(text, "terrain_m: -15")
+    assert f"line {line}: vehicles[1].safety.terrain_m: " in str(raised.value)
+
+
+def test_one_top_is_enough() -> None:
+    text = SMALL.replace("radius_m: 3", "radius_m: 3, top_alt_amsl_m: 150, top_height_agl_m: 50")
+    with pytest.raises(
+        MissionError, match=r"obstacles\[0\]: expected at most one of top_alt_amsl_m and top_height_agl_m"
+    ):
+        parse_mission(text, "m.yaml")
