@@ -447,8 +447,8 @@ def test_the_space_is_what_the_kernels_take() -> None:
 
 def test_peaks_stand_where_the_mission_says() -> None:
     peaks = [{"x_m": 500, "y_m": 0, "height_m": 80, "spread_m": 200}]
-    scene = scene_of(question(terrain={"kind": "peaks", "base_alt_amsl_m": 50, "cell_m": 5, "peaks": peaks}))
-    assert scene.tasks[1].route_m[-1, 2] == pytest.approx(50 + 80 * math.exp(-((60 / 200) ** 2)) + 40, abs=0.01)
+    scene = scene_of(question(terrain={"kind": "peaks", "base_alt_amsl_m": 10, "cell_m": 5, "peaks": peaks}))
+    assert scene.tasks[1].route_m[-1, 2] == pytest.approx(10 + 80 * math.exp(-((60 / 200) ** 2)) + 40, abs=0.01)
     assert portable_mission(scene).terrain == scene.mission.terrain
     far = [{**peaks[0], "x_m": 1e7}]
     assert "terrain.peaks[0]: expected a place within" in problem_of(question(terrain={"kind": "peaks", "peaks": far}))
