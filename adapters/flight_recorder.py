@@ -24,12 +24,13 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.mission_items import wire_to_degrees
+from adapters.mission_items import degrees_to_wire, wire_to_degrees
 from missionplanner.geodesy import FloatArray, LocalFrame
 from missionplanner.plan import Trajectory
 
 _ANCHORS = 3  # positions on either side of the start that tie the clocks
 _KEPT = 20  # positions before the start
+_LAT_MAX, _LON_MAX = degrees_to_wire(90.0), degrees_to_wire(180.0)
 _AIRBORNE_M = 1.5
 _REBOOT_S = 10.0  # a clock that falls back by this much has been restarted; less is a message out of order
 _REACHED_TEXT = re.compile(r"Reached command #(\d+)")
@@ -144,6 +145,8 @@ class FlightRecorder:
         return self._flight_time_s(self._landed_s)
 
     def _positioned(self, message: Any, now_s: float) -> None:
+        if abs(message.lat) > _LAT_MAX or abs(message.lon) > _LON_MAX:
+            return  # no place on earth
         boot_s = message.time_boot_ms / 1e3
         if self._boot_s and boot_s < self._boot_s[-1]:
             self.rebooted |= self._start_s is not None and boot_s < self._boot_s[-1] - _REBOOT_S

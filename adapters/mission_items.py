@@ -75,7 +75,10 @@ class MissionItem:
 
 def to_float32(value: float) -> float:
     """Return the nearest single-precision number; NaN as the one object ``math.nan``, so that items compare equal."""
-    return math.nan if math.isnan(value) else float(np.float32(value))
+    if math.isnan(value):
+        return math.nan
+    with np.errstate(over="ignore"):  # what is too large for the wire becomes infinite there, and is refused there
+        return float(np.float32(value))
 
 
 def float32_text(value: float) -> str:

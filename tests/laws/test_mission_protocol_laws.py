@@ -169,3 +169,46 @@ def test_nothing_from_others_moves_an_upload(autopilot: Autopilot, noise: list[t
         assert upload.receive(message, 0.1) == []
     assert not upload.done
     assert upload.poll(0.2) == []
+
+
+_small = st.integers(0, 9)
+_any_message = st.one_of(
+    st.builds(lambda seq: mavlink.MAVLink_mission_request_message(255, 190, seq), _small),
+    st.builds(lambda seq: mavlink.MAVLink_mission_request_int_message(255, 0, seq), st.integers(0, 65_535)),
+    st.builds(lambda result: mavlink.MAVLink_mission_ack_message(255, 190, result), st.integers(0, 16)),
+    st.builds(lambda count: mavlink.MAVLink_mission_count_message(255, 190, count), _small),
+    st.builds(
+        lambda seq, command, value, place: mavlink.MAVLink_mission_item_int_message(
+            255, 190, seq, 0, command, 0, 1, value, value, value, value, place, place, value
+        ),
+        _small,
+        st.integers(0, 65_535),
+        st.floats(width=32),
+        st.integers(-(2**31), 2**31 - 1),
+    ),
+)
+
+
+@given(autopilots, st.lists(st.tuples(_any_message, st.floats(0, 3)), max_size=60))
+def test_whatever_a_vehicle_says_ends_in_a_whole_mission_or_a_clear_error(
+    autopilot: Autopilot, said: list[tuple[Message, float]]
+) -> None:
+    items = _mission(autopilot, 3, 1)
+    upload, download = MissionUpload(PARTY, autopilot, items), MissionDownload(PARTY)
+    sender = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
+    sent: set[int] = set()
+    now_s = 0.0
+    try:
+        for message, pause_s in said:
+            now_s += pause_s
+            message.pack(sender)
+            answers = [*upload.poll(now_s), *upload.receive(message, now_s)]
+            sent |= {answer.seq for answer in answers if answer.get_type() == "MISSION_ITEM_INT"}
+            download.poll(now_s)
+            download.receive(message, now_s)
+    except LinkError as error:
+        assert str(error).startswith("uav3 (sysid 3): ")
+        return
+    assert not upload.done or len(items) - 1 in sent
+    assert not download.done or len(download.items) == download.total
+    mismatches(items, download.items, autopilot)

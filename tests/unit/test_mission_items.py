@@ -113,3 +113,7 @@ def test_numbers_are_written_short() -> None:
         "nan",
         "1251.2501",
     ]
+
+
+def test_what_single_precision_cannot_hold_is_infinite() -> None:
+    assert MissionItem(0, 0, 16, 1e300).param1 == math.inf
