@@ -10,11 +10,9 @@ homotopy classes, doi:10.1287/mnsc.17.11.712).
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,9 +30,14 @@ _TIGHT_END_M = 1e-3  # a start or goal that lacks this little (rounding) is take
 _BOUND_SLACK_M = 2e-4  # distances along legs are lower bounds within 1e-4 m: an end at the margin must still pass
 _NODES_MAX = 1_500_000
 _STEEPEST_RAD = math.radians(89.0)
+_PROBE_M = 0.01
 _ROUNDS = 30
 _SPARES_M = (0.05, 1.0)  # kept above ground beyond the margin, for what lies between samples
 _HALVINGS = 9
+_LEAST = 0.5**8
+_SLIDE_ON, _SLIDE_BACK, _PULL_UPRIGHT, _PULL_LEVEL, _CUT = range(5)
+_CUT_ROUNDS = 3
+_GREED = 1.2  # A* weighs what is to go this much: what it loses, drawing taut makes good
 _CUTS_MAX = 40
 _TAUT_TOLERANCE = 2e-5  # of the section's length: a corner is cut, a round repeated, while that saves more
 
@@ -137,7 +140,8 @@ def _leg_ok(space: SpaceArrays, rules: _Rules, walls: FloatArray, leg: FloatArra
     if _crosses_wall(walls, leg) or not _over_ground(space, rules, leg):
         return False
     if open_air:
-        return leg[0, 2] <= rules.alt_max_m and leg[1, 2] <= rules.alt_max_m
+        below: bool = leg[0, 2] <= rules.alt_max_m and leg[1, 2] <= rules.alt_max_m
+        return below
     clear: bool = kernels.leg_is_clear(
         space, leg, np.inf, -np.inf, np.inf, rules.alt_max_m, rules.obstacle_m, rules.fence_m
     )
@@ -293,7 +297,7 @@ def _expand(
                 continue
             nodes.cost[ahead] = total
             nodes.parent[ahead] = node
-            _sift_up(nodes, queued, total + _to_go(rules, ends[1], leg), ahead)
+            _sift_up(nodes, queued, total + _GREED * _to_go(rules, ends[1], leg), ahead)
             queued += 1
     return last
 
@@ -309,85 +313,125 @@ def _distance(p: FloatArray, i: int, j: int) -> float:
 
 
 @njit(**_INNER)
-def _reach(
-    space: SpaceArrays, rules: _Rules, walls: FloatArray, p: FloatArray, b: int, side: int, cut_m: float, halvings: int
-) -> float:
-    """Return the greatest share f, by halving, for which a leg across the corner at ``p[b]`` is clear.
-
-    With ``cut_m`` 0 the leg runs from the neighbour at ``b - side`` to the point at f of the way to the other; else
-    between the two points f ``cut_m`` from the corner.
-    """
-    leg = np.empty((2, 3))
-    near = cut_m / _distance(p, b - side, b) if cut_m > 0.0 else 1.0
-    far = cut_m / _distance(p, b, b + side) if cut_m > 0.0 else 1.0
-    good, bad = 0.0, 1.0
-    for n in range(halvings + 1):
-        f = 1.0 if n == 0 else 0.5 * (good + bad)
-        g = near * f if cut_m > 0.0 else 1.0
-        for k in range(3):
-            leg[0, k] = p[b, k] + (p[b - side, k] - p[b, k]) * g
-            leg[1, k] = p[b, k] + (p[b + side, k] - p[b, k]) * (far * f)
-        if _leg_ok(space, rules, walls, leg, False):
-            good = f
-            if n == 0:
-                break
-        else:
-            bad = f
-    return good
+def _corner(p: FloatArray, b: int, step: int, f: float, out: FloatArray) -> None:
+    """Write where a step of :func:`_taut`, done to the share ``f``, puts the corner ``p[b]``: two rows after a cut."""
+    ab, bc = _distance(p, b - 1, b), _distance(p, b, b + 1)
+    cut_m = f * min(ab, bc)
+    for k in range(3):
+        to_a, to_c = p[b - 1, k] - p[b, k], p[b + 1, k] - p[b, k]
+        out[0, k] = p[b, k]
+        if step == _SLIDE_ON:
+            out[0, k] += f * to_c
+        elif step == _SLIDE_BACK:
+            out[0, k] += f * to_a
+        elif step == _CUT:
+            out[0, k] += to_a * cut_m / ab
+            out[1, k] = p[b, k] + to_c * cut_m / bc
+        elif (step == _PULL_LEVEL) == (k < 2):
+            out[0, k] += f * (to_a * bc + to_c * ab) / (ab + bc)
 
 
 @njit(**_INNER)
-def _move(p: FloatArray, target: int, b: int, c: int, f: float) -> None:
-    """Write the point at share f of the way from point b to point c into a row."""
-    for k in range(3):
-        p[target, k] = p[b, k] + (p[c, k] - p[b, k]) * f
+def _corner_ok(
+    space: SpaceArrays, rules: _Rules, walls: FloatArray, p: FloatArray, b: int, step: int, spot: FloatArray
+) -> bool:
+    """Return whether the legs at a corner moved to ``spot`` are clear, and no longer than before."""
+    leg = np.empty((2, 3))
+    before = _distance(p, b - 1, b) + _distance(p, b, b + 1)
+    length = 0.0
+    for n in range(1 if step == _CUT else 2):
+        for k in range(3):
+            leg[0, k] = spot[0, k] if n == 1 or step == _CUT else p[b - 1, k]
+            leg[1, k] = spot[1, k] if step == _CUT else spot[0, k] if n == 0 else p[b + 1, k]
+        length += _length(leg)
+        if length > before or not _leg_ok(space, rules, walls, leg, False):
+            return False
+    return True
 
 
 @njit(**_OUTER)
 def _taut(space: SpaceArrays, rules: _Rules, walls: FloatArray, p: FloatArray, size: int, tolerance_m: float) -> int:
     """Draw the path ``p[:size]`` taut in place, while a round saves the tolerance; return its new size.
 
-    Each point slides along its two legs as far as the leg to its other neighbour stays clear, then its corner is cut:
-    by the triangle, no step lengthens the path. Rows beyond ``size`` are room for points that cuts add.
+    Each point slides along its two legs as far as the leg to its other neighbour stays clear (all the way: it is
+    dropped), then is pulled towards its neighbours' chord, level and upright, because a point held by a mast or a
+    cable moves along it only by that. When this saves no more, corners are cut too. No step lengthens the path. Rows
+    beyond ``size`` are room for points that cuts add.
     """
+    spot = np.empty((2, 3))
+    cuts = 0
     for _ in range(_ROUNDS):
         gained = 0.0
         b = 1
         while b < size - 1:
             before = _distance(p, b - 1, b) + _distance(p, b, b + 1)
             bends = before - _distance(p, b - 1, b + 1) > 0.1 * tolerance_m
-            ab = bc = 0.0
-            for cut in range(3):
-                ab, bc = _distance(p, b - 1, b), _distance(p, b, b + 1)
-                if min(ab, bc) < 1e-6:
-                    break
-                side = -1 if cut == 1 else 1
-                cut_m = min(ab, bc) if cut == 2 else 0.0
-                f = _reach(space, rules, walls, p, b, side, cut_m, _HALVINGS if bends else 0)
-                if cut < 2:
-                    _move(p, b, b, b + side, f)
+            after = before
+            for step in range(_CUT + 1 if cuts > 0 and size < p.shape[0] else _CUT):
+                good, bad = 0.0, 1.0
+                for n in range(_HALVINGS if bends else 1):
+                    # All the way, else the least, else halving: most points are stuck or free, few in between.
+                    f = 1.0 if n == 0 else _LEAST if n == 1 else 0.5 * (good + bad)
+                    _corner(p, b, step, f, spot)
+                    if _corner_ok(space, rules, walls, p, b, step, spot):
+                        good = f
+                    else:
+                        bad = f
+                    if good == 1.0 or (n == 1 and good == 0.0):
+                        break
+                if good == 0.0:
                     continue
-                ac = _distance(p, b - 1, b + 1)
-                cosine = (ab * ab + bc * bc - ac * ac) / (2.0 * ab * bc)
-                saved = f * cut_m * (2.0 - math.sqrt(max(0.0, 2.0 - 2.0 * cosine)))
-                if saved > tolerance_m and size < p.shape[0]:
+                _corner(p, b, step, good, spot)
+                if step == _CUT:
+                    cut_m = good * min(_distance(p, b - 1, b), _distance(p, b, b + 1))
+                    saved = 2.0 * cut_m - _length(spot)
+                    if saved < tolerance_m:
+                        continue
                     for n in range(size, b, -1):
-                        _move(p, n, n - 1, n - 1, 0.0)
+                        for k in range(3):
+                            p[n, k] = p[n - 1, k]
                     size += 1
-                    _move(p, b, b, b - 1, f * cut_m / ab)
-                    _move(p, b + 1, b + 1, b + 2, f * cut_m / bc)
                     gained += saved
                     b += 1
-            gained += max(0.0, before - ab - bc)
-            if min(ab, bc) < 1e-6:
-                size -= 1
-                for n in range(b, size):
-                    _move(p, n, n + 1, n + 1, 0.0)
-            else:
-                b += 1
-        if gained < tolerance_m:
+                    for k in range(3):
+                        p[b - 1, k] = spot[0, k]
+                        p[b, k] = spot[1, k]
+                    break
+                for k in range(3):
+                    p[b, k] = spot[0, k]
+                after = _distance(p, b - 1, b) + _distance(p, b, b + 1)
+                if min(_distance(p, b - 1, b), _distance(p, b, b + 1)) < 1e-6:
+                    size -= 1
+                    for n in range(b, size):
+                        for k in range(3):
+                            p[n, k] = p[n + 1, k]
+                    b -= 1
+                    break
+            gained += before - after
+            b += 1
+        if cuts > 0 or gained < tolerance_m:
+            cuts += 1
+        if cuts > _CUT_ROUNDS:
             break
     return size
+
+
+@njit(**_OUTER)
+def _away(o: kernels.ObstacleArrays, index: npt.NDArray[np.intp], at: FloatArray, out: FloatArray) -> None:
+    """Write the directions (N, 3) in which the distances from places (N, 3) to solids ``index`` (N,) grow."""
+    near = np.empty(3)
+    for n in range(index.shape[0]):
+        square = 0.0
+        for k in range(6):
+            for m in range(3):
+                near[m] = at[n, m]
+            near[k % 3] += _PROBE_M if k < 3 else -_PROBE_M
+            distance = kernels.obstacle_distance(o, index[n], near[0], near[1], near[2])
+            out[n, k % 3] = distance if k < 3 else out[n, k % 3] - distance
+        for k in range(3):
+            square += out[n, k] * out[n, k]
+        for k in range(3):
+            out[n, k] /= math.sqrt(max(square, 1e-30))
 
 
 # --- searching -----------------------------------------------------------------------------------------------------
@@ -412,10 +456,18 @@ class _Problem:
         return math.tan(min(self.limits.descent_angle_rad, _STEEPEST_RAD))
 
     @property
+    def least_m(self) -> float:
+        """A lower bound of the length of any path."""
+        rise = self.goal_m[2] - self.start_m[2]
+        slope = self.slope_up if rise > 0.0 else self.slope_down
+        across = math.hypot(self.goal_m[0] - self.start_m[0], self.goal_m[1] - self.start_m[1])
+        return math.hypot(rise, max(across, abs(rise) / slope))
+
+    @property
     def length_m(self) -> float:
         """The horizontal length that the section needs at least; never tiny."""
         across, rise = math.hypot(*(self.goal_m - self.start_m)[:2]), self.goal_m[2] - self.start_m[2]
-        return max(across, rise / self.slope_up, -rise / self.slope_down, 30.0)
+        return float(max(across, rise / self.slope_up, -rise / self.slope_down, 30.0))
 
     @property
     def spare_m(self) -> float:
@@ -460,7 +512,7 @@ _LEVELS = (_Level(16, 0.5), _Level(32, 1.0), _Level(16, 4.0), _Level(64, 1.0), _
 _NO_WALLS = np.empty((0, 11))
 
 
-def _grids(problem: _Problem) -> Iterator[tuple[_Grid, npt.NDArray[np.int64], float]]:
+def _grids(problem: _Problem, levels: Sequence[_Level]) -> Iterator[tuple[_Grid, npt.NDArray[np.int64], float]]:
     """Yield ever larger and finer grids, each with its moves and the steepest ground within it."""
     start, goal = problem.start_m, problem.goal_m
     across = math.hypot(*(goal - start)[:2])
@@ -468,7 +520,7 @@ def _grids(problem: _Problem) -> Iterator[tuple[_Grid, npt.NDArray[np.int64], fl
     turn = np.array([[ux, -uy], [uy, ux]])  # columns: along and left of the section
     west, south, east, north = problem.space.area
     area = (np.array([[west, south], [west, north], [east, south], [east, north]]) - start[:2]) @ turn
-    for level in _LEVELS:
+    for level in levels:
         reach_m = level.reach * problem.length_m
         low = np.maximum(area.min(axis=0), -reach_m)
         high = np.minimum(area.max(axis=0), [across + reach_m, reach_m])
@@ -490,7 +542,7 @@ def _grids(problem: _Problem) -> Iterator[tuple[_Grid, npt.NDArray[np.int64], fl
 
 
 def _survey(terrain: kernels.TerrainArrays, corners: FloatArray) -> tuple[float, float, float]:
-    """Return lowest and highest ground and a bound of its slope (inf near voids) in the hull of corners (N, 2)."""
+    """Return lowest and highest ground and its steepest slope (inf near voids) in the hull of corners (N, 2)."""
     height = terrain.height_amsl_m
     cells = np.array([kernels.cell_position(terrain, x, y) for x, y in corners])
     low = np.clip(np.floor(cells.min(axis=0)) - 2, 0, np.array(height.shape) - 1).astype(int)
@@ -502,13 +554,15 @@ def _survey(terrain: kernels.TerrainArrays, corners: FloatArray) -> tuple[float,
     lowest, highest = float(np.nanmin(window)), float(np.nanmax(window))
     if voids.any():
         return lowest, highest, math.inf
-    rise = max(float(np.abs(np.diff(window, axis=k)).max(initial=0.0)) for k in (0, 1))
+    down, right = np.diff(window, axis=0)[:, :-1], np.diff(window, axis=1)[:-1]
+    rise = math.sqrt(float((down * down + right * right).max(initial=0.0)))
     x, y = corners.mean(axis=0)
     here, east, north = (
         np.array(kernels.cell_position(terrain, x + dx, y + dy)) for dx, dy in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
     )
-    cells_per_m = float(np.linalg.norm([east - here, north - here]))
-    return lowest, highest, 1.5 * math.sqrt(2.0) * rise * cells_per_m  # Keys' cubic: at most 1.5 times its data's slope
+    cells_per_m = float(np.linalg.norm([east - here, north - here], ord=2))
+    # Between samples Keys' cubic is hardly steeper than its steepest data; if it is, the judge, sampling densely, sees.
+    return lowest, highest, 1.2 * rise * cells_per_m
 
 
 def _altitudes(problem: _Problem, corners: FloatArray, ground_low: float, ground_high: float) -> tuple[float, float]:
@@ -544,20 +598,20 @@ _DIRECTIONS = tuple((u, v) for u in range(-2, 3) for v in range(-2, 3) if math.g
 
 
 def _moves(problem: _Problem, cell_m: float, layer_m: float) -> npt.NDArray[np.int64]:
-    """Return moves (M, 3): sixteen directions, each level, up or down by one, by some and by all the limits allow."""
+    """Return moves (M, 3): sixteen directions, each level, up or down by one layer or as steep as allowed."""
     moves = []
     for u, v in _DIRECTIONS:
         across_m = math.hypot(u, v) * cell_m
         up, down = (int(slope * across_m / layer_m * (1.0 - 1e-6)) for slope in (problem.slope_up, problem.slope_down))
-        moves += [(u, v, w) for w in sorted({0, min(1, up), min(3, up), up, -min(1, down), -min(3, down), -down})]
+        moves += [(u, v, w) for w in sorted({0, min(1, up), up, -min(1, down), -down})]
     return np.array(moves, dtype=np.int64)
 
 
 def _find(
-    problem: _Problem, walls: FloatArray, levels: int = len(_LEVELS), longest_m: float = math.inf
+    problem: _Problem, walls: FloatArray, levels: Sequence[_Level], longest_m: float = math.inf
 ) -> FloatArray | None:
-    """Return a taut path (K, 3) that crosses no wall, or None if none of the first ``levels`` grids holds one."""
-    for grid, moves, ground_slope in islice(_grids(problem), levels):
+    """Return a taut path (K, 3) that crosses no wall, or None if none of the grids holds one."""
+    for grid, moves, ground_slope in _grids(problem, levels):
         for spare_m in _SPARES_M:
             rules = problem.rules(ground_slope, min(spare_m, problem.spare_m))
             raw = _graph_path(problem, rules, walls, grid, moves, longest_m)
@@ -565,8 +619,14 @@ def _find(
                 break
             path = _draw_taut(problem, rules, walls, raw)
             if path is not None:
-                return path
+                return _let_go(problem, rules, path) if len(walls) else path
     return None
+
+
+def _let_go(problem: _Problem, rules: _Rules, path: FloatArray) -> FloatArray:
+    """Return a path that may lean on a wall's edge drawn taut without walls, if it stays on its sides of everything."""
+    freed = _draw_taut(problem, rules, _NO_WALLS, path)
+    return path if freed is None or (_sides(problem, path) != _sides(problem, freed)).any() else freed
 
 
 def _graph_path(
@@ -636,6 +696,7 @@ _WALLS_PER_PATH = 3
 _WALL_REACH = 0.35  # of the section's length
 _NEAR = 0.25  # of the section's length: an obstacle this near may be passed on another side
 _LONGEST = 1.5  # times the shortest: longer ways around are not worth a guess
+_SHORT_ENOUGH = 1.003  # times the least any path can be: one guess is asked for, and this is it
 _SAMPLES = 65
 
 
@@ -646,20 +707,9 @@ def _resample(path: FloatArray) -> FloatArray:
     return np.stack([np.interp(at, s, path[:, k]) for k in range(3)], axis=1)
 
 
-def _length_m(path: FloatArray) -> float:
-    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
-
-
 def _unit(v: FloatArray) -> FloatArray:
     unit: FloatArray = v / max(float(np.linalg.norm(v)), 1e-12)
     return unit
-
-
-def _away(o: kernels.ObstacleArrays, i: int, at: FloatArray) -> FloatArray:
-    """Return the direction (3,) in which the distance to solid ``i`` grows."""
-    step = 0.01 * np.eye(3)
-    distance = kernels.obstacle_distances(o, np.concatenate([at + step, at - step]))[:, i]
-    return _unit(distance[:3] - distance[3:])
 
 
 def _walls_at(problem: _Problem, path: FloatArray) -> list[FloatArray]:
@@ -677,15 +727,18 @@ def _walls_at(problem: _Problem, path: FloatArray) -> list[FloatArray]:
     hard = np.flatnonzero(o.hard)
     distance = kernels.obstacle_distances(o, samples)[:, hard]
     nearest = distance.argmin(axis=0)
-    for n in np.argsort(distance.min(axis=0), kind="stable")[:_WALLS_PER_PATH]:
-        at, d = samples[nearest[n]], distance[nearest[n], n]
-        if d < _NEAR * problem.length_m and 0 < nearest[n] < _SAMPLES - 1:
-            close(at, course[nearest[n]], _away(o, int(hard[n]), at), 0.9 * d)
+    least = distance.min(axis=0)
+    passed = np.flatnonzero((least < _NEAR * problem.length_m) & (nearest > 0) & (nearest < _SAMPLES - 1))
+    passed = passed[np.argsort(least[passed], kind="stable")][:_WALLS_PER_PATH]
+    away = np.empty((len(passed), 3))
+    _away(o, hard[passed], samples[nearest[passed]], away)
+    for n, direction in zip(passed, away, strict=True):
+        close(samples[nearest[n]], course[nearest[n]], direction, 0.9 * least[n])
 
     before, after = path[1:-1] - path[:-2], path[2:] - path[1:-1]
     turns = [_unit(b) - _unit(a) for a, b in zip(before, after, strict=True)]
     sharpest = max(range(len(turns)), key=lambda k: float(turns[k] @ turns[k]), default=-1)
-    if sharpest >= 0 and (not len(hard) or distance.min() > 2.0 * problem.margins.obstacle_m):
+    if sharpest >= 0 and least.min(initial=math.inf) > 2.0 * problem.margins.obstacle_m:
         close(
             path[sharpest + 1],
             path[sharpest + 2] - path[sharpest],
@@ -699,31 +752,38 @@ def _sides(problem: _Problem, path: FloatArray) -> npt.NDArray[np.int64]:
     """Return the side (O,) on which the path passes each hard solid: 0 left, 1 over, 2 right, 3 under, -1 far away."""
     o = problem.space.obstacles
     samples = _resample(path)
-    left = np.array([problem.start_m[1] - problem.goal_m[1], problem.goal_m[0] - problem.start_m[0], 0.0])
+    left = _unit(np.array([problem.start_m[1] - problem.goal_m[1], problem.goal_m[0] - problem.start_m[0], 0.0]))
     distance = kernels.obstacle_distances(o, samples)
+    near = np.flatnonzero(o.hard & (distance.min(axis=0, initial=math.inf) < _NEAR * problem.length_m))
+    away = np.empty((len(near), 3))
+    _away(o, near, samples[distance[:, near].argmin(axis=0)], away)
     sides = np.full(len(o.kind), -1)
-    for i in np.flatnonzero(o.hard & (distance.min(axis=0, initial=math.inf) < _NEAR * problem.length_m)):
-        away = _away(o, i, samples[distance[:, i].argmin()])
-        sides[i] = round(2.0 * math.atan2(away[2], away @ _unit(left)) / math.pi) % 4
+    sides[near] = np.rint(2.0 * np.arctan2(away[:, 2], away @ left) / math.pi).astype(np.int64) % 4
     return sides
 
 
-def _differ(problem: _Problem, one: FloatArray, other: FloatArray) -> bool:
-    """Return whether two paths are worth keeping both: far apart, or apart and on different sides of something."""
-    apart_m = float(np.linalg.norm(_resample(one) - _resample(other), axis=1).max())
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """A path, the walls it was made to go around, and what tells it from others."""
+
+    path: FloatArray
+    walls: FloatArray
+    length_m: float
+    samples: FloatArray
+    sides: npt.NDArray[np.int64]
+
+
+def _way(problem: _Problem, path: FloatArray, walls: FloatArray) -> _Way:
+    length_m = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+    return _Way(path, walls, length_m, _resample(path), _sides(problem, path))
+
+
+def _differ(problem: _Problem, one: _Way, other: _Way) -> bool:
+    """Return whether two ways are worth keeping both: far apart, or apart and on different sides of something."""
+    apart_m = float(np.linalg.norm(one.samples - other.samples, axis=1).max())
     if apart_m < max(0.02 * problem.length_m, 2.0):
         return False
-    return apart_m > 0.1 * problem.length_m or bool((_sides(problem, one) != _sides(problem, other)).any())
-
-
-def _another(problem: _Problem, walls: FloatArray, levels: int, longest_m: float) -> FloatArray | None:
-    """Return a path around the walls; where it leans on a wall's edge it is let go if it stays on its side."""
-    path = _find(problem, walls, levels, longest_m)
-    if path is None:
-        return None
-    rules = problem.rules(math.inf, min(_SPARES_M[0], problem.spare_m))
-    freed = _draw_taut(problem, rules, _NO_WALLS, path)
-    return path if freed is None or (_sides(problem, path) != _sides(problem, freed)).any() else freed
+    return apart_m > 0.1 * problem.length_m or bool((one.sides != other.sides).any())
 
 
 def first_guesses(
@@ -738,6 +798,7 @@ def first_guesses(
 ) -> list[FloatArray]:
     """Return up to ``count`` taut polylines (K, 3) from start to goal on different ways around, shortest first.
 
+    Where the straight leg is clear, it is the only one: there is nothing to go around.
     Each keeps the vehicle's margins and angles, judged by the same kernels as everything else. ``clearance_extra_m``
     is kept on top as far as start and goal themselves do. ``names`` of the obstacles are for the error message.
 
@@ -751,39 +812,43 @@ def first_guesses(
     margins = _end_margins(space, Margins.of(limits), Margins.of(limits, clearance_extra_m), ends, names)
     problem = _Problem(space, margins, limits, start, goal)
     straight = np.array([start, goal])
-    found: list[FloatArray] = []
-    levels = 1
     if problem.accepts(straight):
-        found.append(straight)
-        if count == 1:
-            return found
-    while not found:
-        path = _find(problem, _NO_WALLS, levels)
-        if path is not None:
-            found.append(path)
-        elif levels == len(_LEVELS):
-            raise InfeasibleError(_what_blocks(problem, names))
-        else:
-            levels += 1
-    longest_m = _LONGEST * _length_m(found[0])
-    open_ways: list[tuple[float, int, FloatArray, FloatArray]] = [(_length_m(found[0]), 0, found[0], _NO_WALLS)]
-    searches = 2 * count
-    while open_ways and searches > 0 and len(found) < max(count, 2):
-        _, _, path, walls = heapq.heappop(open_ways)
-        for wall in _walls_at(problem, path)[:searches]:
+        return [straight]
+    for level in _LEVELS:
+        first = _find(problem, _NO_WALLS, (level,))
+        if first is not None:
+            return [way.path for way in _ways(problem, first, level, count)]
+    raise InfeasibleError(_what_blocks(problem, names))
+
+
+def _ways(problem: _Problem, first: FloatArray, level: _Level, count: int) -> list[_Way]:
+    """Return up to ``count`` different ways, shortest first, the first of them given."""
+    found = [_way(problem, first, _NO_WALLS)]
+    if count == 1 and found[0].length_m < _SHORT_ENOUGH * problem.least_m:
+        return found
+    longest_m = _LONGEST * found[0].length_m
+    unopened = found.copy()
+    searches = count + 2
+    while unopened and searches > 0 and len(found) < max(count, 2):
+        way = min(unopened, key=lambda w: w.length_m)
+        unopened.remove(way)
+        for wall in _walls_at(problem, way.path)[:searches]:
             searches -= 1
-            more = np.concatenate([walls, wall[None]])
-            other = _another(problem, more, levels, longest_m)
-            if other is not None and all(_differ(problem, other, known) for known in found):
+            walls = np.concatenate([way.walls, wall[None]])
+            path = _find(problem, walls, (level,), longest_m)
+            if path is None:
+                continue
+            other = _way(problem, path, walls)
+            if all(_differ(problem, other, known) for known in found):
                 found.append(other)
-                heapq.heappush(open_ways, (_length_m(other), len(found), other, more))
-    return sorted(found, key=_length_m)[:count]
+                unopened.append(other)
+    return sorted(found, key=lambda w: w.length_m)[:count]
 
 
 def _end_margins(
     space: SpaceArrays, must: Margins, wish: Margins, ends: dict[str, FloatArray], names: Sequence[str]
 ) -> Margins:
-    """Return the wished margins as far as both ends themselves keep them; an end that lacks what it must is an error."""
+    """Return the wished margins as far as both ends themselves keep them; an end that lacks what it must: error."""
     o = space.obstacles
     kept = wish
     for end, at in ends.items():
@@ -826,9 +891,9 @@ _LEVELS_WHEN_BLOCKED = 3
 def _what_blocks(problem: _Problem, names: Sequence[str]) -> str:
     """Return what stands in the way: the one limit without which there is a path."""
     space, limits, margins = problem.space, problem.limits, problem.margins
+    harmless = space.obstacles._replace(hard=np.zeros_like(space.obstacles.hard))
     anything = replace(limits, climb_angle_rad=_STEEPEST_RAD, descent_angle_rad=_STEEPEST_RAD)
     high = replace(margins, height_agl_max_m=math.inf, alt_amsl_max_m=math.inf)
-    harmless = space.obstacles._replace(hard=np.zeros_like(space.obstacles.hard))
     rise = problem.goal_m[2] - problem.start_m[2]
     angle_deg = math.degrees(limits.climb_angle_rad if rise > 0.0 else limits.descent_angle_rad)
     across = math.hypot(*(problem.goal_m - problem.start_m)[:2])
@@ -847,13 +912,13 @@ def _what_blocks(problem: _Problem, names: Sequence[str]) -> str:
         (
             replace(
                 problem,
-                space=space._replace(obstacles=space.obstacles._replace(hard=np.zeros_like(space.obstacles.hard))),
+                space=space._replace(obstacles=harmless),
             ),
             "",
         ),
     )
     for trial, text in trials:
-        path = _find(trial, _NO_WALLS, _LEVELS_WHEN_BLOCKED)
+        path = _find(trial, _NO_WALLS, _LEVELS[:_LEVELS_WHEN_BLOCKED])
         if path is None:
             continue
         if text:
