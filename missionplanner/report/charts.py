@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from missionplanner.geodesy import FloatArray
-from missionplanner.plan import Clearance
+from missionplanner.plan import Clearance, Trajectory
 from missionplanner.report import style
 from missionplanner.report.facts import Distances, Facts, VehicleFacts, along_m, along_path_m, distances
 from missionplanner.report.shapes import Shape, vertical_range
@@ -48,7 +51,9 @@ def height_profile(facts: Facts, shapes: Sequence[Shape], vehicle: VehicleFacts)
     axes.fill_between(below_run, ground, ground + required_m, color=style.MARGIN, alpha=0.28, linewidth=0, zorder=1.5)
     around_m = limits.obstacle_margin_m + limits.tracking_error_m
     _draw_section(axes, [s for s in shapes if s.hard], below_run, below, around_m)
-    _draw_ceiling(axes, below_run, ground, limits.height_agl_max_m, limits.alt_amsl_max_m, top)
+    ceiling = np.minimum(ground + limits.height_agl_max_m, limits.alt_amsl_max_m)
+    if np.nanmin(ceiling) < top:
+        axes.plot(below_run, ceiling, color=style.BAD, linewidth=0.9, linestyle=(0, (4, 2)), zorder=5)
     axes.plot(run, plan.path_m[:, 2], color=colour, linewidth=2.2, zorder=6, path_effects=style.halo(3.4))
     waypoint_run = along_path_m(plan.path_m, plan.waypoints_m, window_m=math.inf)
     axes.plot(
@@ -60,9 +65,10 @@ def height_profile(facts: Facts, shapes: Sequence[Shape], vehicle: VehicleFacts)
         axes.plot(along_path_m(plan.path_m, track), track[:, 2], color=style.INK, linewidth=0.8, zorder=8)
 
     said = []
-    for mark, clearance in zip("ab", plan.clearances, strict=False):
+    shown = [c for c in plan.clearances if c.what not in {"ceiling", "fence"} or not c.ok]
+    for mark, clearance in zip("abcd", shown, strict=False):
         where = float(along_path_m(plan.path_m, np.array([clearance.position_m]), window_m=math.inf)[0])
-        _mark_least(axes, facts.scene, clearance, where, mark, bottom)
+        _mark_least(axes, facts.scene, clearance, where, mark)
         said.append(f"{mark}  {_clearance_words(clearance)}")
     axes.set_xlim(0.0, max(float(run[-1]), 1.0))
     axes.set_ylim(bottom, top)
@@ -72,39 +78,32 @@ def height_profile(facts: Facts, shapes: Sequence[Shape], vehicle: VehicleFacts)
     style.quiet(axes)
     figure.text(0.07, 0.935, plan.name, color=colour, fontsize=11, fontweight="bold", va="center")
     figure.text(0.985, 0.935, "     ".join(said), color=style.INK, fontsize=8, ha="right", va="center")
-    figure.text(
-        0.07, 0.865, _profile_key(required_m, track is not None), color=style.MUTED, fontsize=7.5, va="center"
-    )  # fmt: skip
+    key = _profile_key(required_m, ceiling=bool(np.nanmin(ceiling) < top), flown=track is not None)
+    figure.text(0.07, 0.865, key, color=style.MUTED, fontsize=7.5, va="center")
     return figure
 
 
 def separation(facts: Facts) -> Figure:
     """Draw the distances between the vehicles over time, planned and flown, beside the required separation."""
-    panels: list[tuple[str, Distances, Clearance | None]] = []
-    planned = facts.plan.separation
-    instants = [planned.t_s] if planned and planned.t_s is not None else []
-    trajectories = [v.plan.trajectory for v in facts.vehicles]
-    panels.append(("planned", distances(trajectories, instants), planned))
+    panels = [_panel(facts, "planned", [v.plan.trajectory for v in facts.vehicles], facts.plan.separation)]
     flown = [v.flown.record.trajectory for v in facts.vehicles if v.flown]
     if len(flown) == len(facts.vehicles):
-        least = facts.flown_separation
-        instants = [least.t_s] if least and least.t_s is not None else []
-        panels.append(("flown", distances(flown, instants), least))
+        panels.append(_panel(facts, "flown", flown, facts.flown_separation))
     figure = style.new_figure(2.9)
-    required_m = facts.scene.mission.fleet.separation_m
-    axes_list: list[Axes] = []
-    for i, (title, lines, least) in enumerate(panels):
-        width = (0.915 - 0.05 * (len(panels) - 1)) / len(panels)
+    width = (0.915 - 0.05 * (len(panels) - 1)) / len(panels)
+    for i, panel in enumerate(panels):
         axes = figure.add_axes((0.07 + i * (width + 0.05), 0.155, width, 0.66))
-        _draw_distances(axes, facts, lines, least, required_m)
-        axes.set_title(title, loc="left", fontsize=9, fontweight="bold", color=style.INK, pad=5)
-        axes_list.append(axes)
-    low = min(axes.get_ylim()[0] for axes in axes_list)
-    high = max(axes.get_ylim()[1] for axes in axes_list)
-    for axes in axes_list:
-        axes.set_ylim(low, high)
-    axes_list[0].set_ylabel("distance (m)")
-    _line_key(figure, facts, panels[0][1])
+        axes.set_title(panel.title, loc="left", fontsize=9, fontweight="bold", color=style.INK, pad=5)
+        axes.set_xlabel("time since mission start (s)")
+        axes.set_xlim(0.0, max(float(p.lines.t_s[-1]) for p in panels))
+        _distance_scale(axes, panels)
+        _draw_distances(axes, panel)
+        if i == 0:
+            axes.set_ylabel("distance (m)")
+    if panels[0].lines.pairs is None:
+        words = "each vehicle to its nearest fellow"
+        figure.text(0.985, 0.955, words, color=style.MUTED, fontsize=7.5, ha="right", va="center")
+    _name_key(figure, facts, 0.955)
     return figure
 
 
@@ -194,31 +193,43 @@ def cost_history(facts: Facts) -> Figure:
 def _draw_section(axes: Axes, shapes: Sequence[Shape], run: FloatArray, below: FloatArray, around_m: float) -> None:
     """Fill what the obstacles, and the distance to keep from them, take of the vertical surface along the path."""
     place = below[:, :2]
-    low, high = place.min(axis=0) - around_m, place.max(axis=0) + around_m
-    for shape in shapes:
-        near = shape.outline_m.max(axis=0) + shape.radius_m >= low
-        if not (near.all() and (shape.outline_m.min(axis=0) - shape.radius_m <= high).all()):
-            continue
-        for thicker, colour, alpha, zorder in ((around_m, style.MARGIN, 0.28, 1.6), (0.0, style.STEEL, 0.8, 1.8)):
-            bottom, top = vertical_range(shape, place, thicker)
-            if np.isfinite(top).any() or np.isposinf(top).any():
-                taken = ~np.isnan(top)
-                bottom, top = np.clip(bottom, -_FAR_M, _FAR_M), np.clip(top, -_FAR_M, _FAR_M)
-                edge = 0.0 if thicker else 0.6
-                axes.fill_between(
-                    run, bottom, top, where=taken, facecolor=colour, edgecolor=colour, alpha=alpha, linewidth=edge, zorder=zorder
-                )  # fmt: skip
+    for thicker, zorder in ((around_m, 1.6), (0.0, 1.8)):
+        polygons: list[FloatArray] = []
+        colours: list[tuple[float, ...]] = []
+        for shape in shapes:
+            found = _section(shape, run, place, thicker)
+            polygons += found
+            colours += [to_rgba(style.MARGIN, 0.28) if thicker else _section_colour(shape)] * len(found)
+        edges = "none" if thicker else colours  # a thin thing keeps the width of its edge
+        axes.add_collection(
+            PolyCollection(polygons, facecolors=colours, edgecolors=edges, linewidths=0.6, zorder=zorder)
+        )
 
 
-def _draw_ceiling(
-    axes: Axes, run: FloatArray, ground: FloatArray, height_agl_m: float, alt_amsl_m: float, top_m: float
-) -> None:
-    ceiling = np.minimum(ground + height_agl_m, alt_amsl_m)
-    if np.nanmin(ceiling) < top_m:
-        axes.plot(run, ceiling, color=style.BAD, linewidth=0.9, linestyle=(0, (4, 2)), zorder=5)
+def _section(shape: Shape, run: FloatArray, place: FloatArray, around_m: float) -> list[FloatArray]:
+    """Return the polygons (run, altitude) that a shape, thickened, takes of the surface."""
+    reach = shape.radius_m + around_m
+    low, high = shape.outline_m.min(axis=0) - reach, shape.outline_m.max(axis=0) + reach
+    near = np.flatnonzero(((place >= low) & (place <= high)).all(axis=1))
+    if not near.size:
+        return []
+    bottom, top = vertical_range(shape, place[near], around_m)
+    taken = near[~np.isnan(top)]
+    bottom, top = (np.clip(z[~np.isnan(z)], -_FAR_M, _FAR_M) for z in (bottom, top))
+    cuts = np.flatnonzero(np.diff(taken) > 1) + 1
+    return [
+        np.concatenate([np.column_stack([x, y]), np.column_stack([x, z])[::-1]])
+        for x, y, z in zip(*(np.split(v, cuts) for v in (run[taken], bottom, top)), strict=True)
+        if len(x)
+    ]
 
 
-def _mark_least(axes: Axes, scene: Scene, clearance: Clearance, run_m: float, mark: str, bottom_m: float) -> None:
+def _section_colour(shape: Shape) -> tuple[float, ...]:
+    zone = shape.kind in ("radar", "marine", "no_fly")
+    return to_rgba(style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL), 0.45 if zone else 0.8)
+
+
+def _mark_least(axes: Axes, scene: Scene, clearance: Clearance, run_m: float, mark: str) -> None:
     x, y, z = clearance.position_m
     colour = style.INK if clearance.ok else style.BAD
     foot = z
@@ -237,7 +248,35 @@ def _mark_least(axes: Axes, scene: Scene, clearance: Clearance, run_m: float, ma
     )  # fmt: skip
 
 
-def _draw_distances(axes: Axes, facts: Facts, lines: Distances, least: Clearance | None, required_m: float) -> None:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Panel:
+    title: str
+    lines: Distances
+    least: Clearance | None
+    required_m: float
+
+
+def _panel(facts: Facts, title: str, trajectories: Sequence[Trajectory], least: Clearance | None) -> _Panel:
+    instants_s = [least.t_s] if least is not None and least.t_s is not None else []
+    required_m = least.required_m if least is not None else facts.scene.mission.fleet.separation_m
+    return _Panel(title, distances(trajectories, instants_s), least, required_m)
+
+
+def _distance_scale(axes: Axes, panels: Sequence[_Panel]) -> None:
+    """Give all panels one scale: logarithmic where the required separation would otherwise vanish at the bottom."""
+    floor = max(0.1, min(min(float(p.lines.distance_m.min()), p.required_m or math.inf) for p in panels))
+    highest = max(float(p.lines.distance_m.max()) for p in panels)
+    if highest > 8 * floor:
+        axes.set_yscale("log")
+        axes.set_ylim(floor * 0.5, highest * 1.35)
+        _plain_log(axes)
+    else:
+        axes.set_ylim(0.0, highest * 1.1)
+    style.quiet(axes)
+
+
+def _draw_distances(axes: Axes, panel: _Panel) -> None:
+    lines, least, required_m = panel.lines, panel.least, panel.required_m
     for i, distance in enumerate(lines.distance_m):
         first, second = lines.pairs[i] if lines.pairs else (i, i)
         axes.plot(
@@ -246,15 +285,6 @@ def _draw_distances(axes: Axes, facts: Facts, lines: Distances, least: Clearance
         )  # fmt: skip
         if first != second:
             axes.plot(lines.t_s, distance, color=style.vehicle_colour(second), linewidth=1.3, dashes=(4, 4), zorder=3.1)
-    lowest = float(lines.distance_m.min())
-    highest = float(lines.distance_m.max())
-    floor = max(min(lowest, required_m if required_m > 0 else lowest), 0.1)
-    if highest > 8 * floor:
-        axes.set_yscale("log")
-        axes.set_ylim(floor * 0.62, highest * 1.35)
-        _plain_log(axes)
-    else:
-        axes.set_ylim(0.0, highest * 1.1)
     if required_m > 0:
         axes.axhspan(1e-3, required_m, color=style.BAD, alpha=0.09, linewidth=0, zorder=0)
         axes.axhline(required_m, color=style.BAD, linewidth=0.9, zorder=2)
@@ -265,24 +295,12 @@ def _draw_distances(axes: Axes, facts: Facts, lines: Distances, least: Clearance
     if least is not None and least.t_s is not None:
         colour = style.INK if least.ok else style.BAD
         axes.plot(least.t_s, least.distance_m, "o", color=colour, markersize=5, markeredgecolor="white", zorder=6)
-        t_end = float(lines.t_s[-1])
-        on_left = least.t_s < 0.6 * t_end
+        on_left = least.t_s < 0.6 * float(lines.t_s[-1])
         axes.annotate(
             f"least {least.distance_m:.1f} m", xy=(least.t_s, least.distance_m), zorder=7,
-            xytext=(6 if on_left else -6, -7), textcoords="offset points", fontsize=7.5, fontweight="bold",
+            xytext=(6 if on_left else -6, -11), textcoords="offset points", fontsize=7.5, fontweight="bold",
             color=colour, ha="left" if on_left else "right", va="center", path_effects=style.halo(2.2),
         )  # fmt: skip
-    axes.set_xlim(0.0, float(lines.t_s[-1]))
-    axes.set_xlabel("time since mission start (s)")
-    style.quiet(axes)
-
-
-def _line_key(figure: Figure, facts: Facts, lines: Distances) -> None:
-    if lines.pairs is None:
-        figure.text(
-            0.985, 0.955, "each vehicle to its nearest fellow", color=style.MUTED, fontsize=7.5, ha="right", va="center"
-        )
-    _name_key(figure, facts, 0.955)
 
 
 def _name_key(figure: Figure, facts: Facts, height: float) -> None:
@@ -333,6 +351,7 @@ def _arrival_words(v: VehicleFacts) -> str:
     return f"{words}, flown {v.flown.record.arrival_s - v.plan.arrival_s:+.2f} s"
 
 
-def _profile_key(required_m: float, flown: bool) -> str:
-    words = f"coloured: planned path with its waypoints     amber: to be kept clear, {required_m:g} m above ground     dark: obstacles"
-    return words + ("     thin black: flown" if flown else "")
+def _profile_key(required_m: float, *, ceiling: bool, flown: bool) -> str:
+    words = ["coloured: planned path with its waypoints", f"amber: to be kept clear, {required_m:g} m above ground"]
+    words += ["shaded: obstacles"] + ["red dashes: ceiling"] * ceiling + ["thin black: flown"] * flown
+    return "     ".join(words)

@@ -46,7 +46,7 @@ class VehicleFacts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Distances:
-    """Distances over time: ``distance_m`` (L, T) at ``t_s`` (T,); a line per pair, or per vehicle its nearest fellow."""
+    """Distances (L, T) at times (T,): a line per pair, or per vehicle its nearest fellow."""
 
     t_s: FloatArray
     distance_m: FloatArray

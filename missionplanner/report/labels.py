@@ -60,7 +60,7 @@ class Labels:
         for distance_pt in reach:
             gap = distance_pt * self._per_point
             for dx, dy in ((0.0, 0.0),) if centred else _DIRECTIONS:
-                centre = anchor + (dx * (gap + width / 2), dy * (gap + height / 2))
+                centre = anchor + np.array([dx * (gap + width / 2), dy * (gap + height / 2)])
                 box = np.array(
                     [centre[0] - width / 2, centre[1] - height / 2, centre[0] + width / 2, centre[1] + height / 2]
                 )
@@ -73,7 +73,14 @@ class Labels:
                 break
         if best is None or (best[0] > 0.0 and not must) or math.isinf(best[0]):
             return False
-        self._write(text, anchor, best[1], best[2] > gap_pt + 8.0, size, text_style)
+        self._taken = np.concatenate([self._taken, [best[1]]])
+        if best[2] > gap_pt + 8.0:
+            self._lead(anchor, best[1], text_style.get("color", style.INK))
+        to_data = self._axes.transData.inverted()
+        x, y = to_data.transform((best[1][:2] + best[1][2:]) / 2)
+        self._axes.text(
+            x, y, text, fontsize=size, ha="center", va="center", zorder=20, path_effects=style.halo(2.0), **text_style
+        )
         return True
 
     def place_group(self, names: Sequence[str], colours: Sequence[str], places_m: FloatArray, together: str) -> None:
@@ -85,21 +92,10 @@ class Labels:
         for name, colour, place in zip(names, colours, places_m, strict=True):
             self.place(name, place, size=8, gap_pt=6, must=len(names) <= 12, fontweight="bold", color=colour)
 
-    def _write(
-        self, text: str, anchor: FloatArray, box: FloatArray, leader: bool, size: float, text_style: dict[str, Any]
-    ) -> None:
-        self._taken = np.concatenate([self._taken, [box]])
-        to_data = self._axes.transData.inverted()
-        centre = to_data.transform([(box[0] + box[2]) / 2, (box[1] + box[3]) / 2])
-        colour = text_style.get("color", style.INK)
-        if leader:
-            near = np.clip(anchor, box[:2], box[2:])
-            ends = to_data.transform(np.array([anchor, near]))
-            self._axes.plot(ends[:, 0], ends[:, 1], color=colour, linewidth=0.5, zorder=19)
-        self._axes.text(
-            centre[0], centre[1], text, fontsize=size, ha="center", va="center", zorder=20,
-            path_effects=style.halo(2.0), **text_style,
-        )  # fmt: skip
+    def _lead(self, anchor: FloatArray, box: FloatArray, colour: str) -> None:
+        near = np.clip(anchor, box[:2], box[2:])
+        ends = self._axes.transData.inverted().transform(np.array([anchor, near]))
+        self._axes.plot(ends[:, 0], ends[:, 1], color=colour, linewidth=0.5, zorder=19)
 
     def _size(self, text: str, size: float, weight: str) -> tuple[float, float]:
         font = FontProperties(family="DejaVu Sans", size=size, weight=weight)

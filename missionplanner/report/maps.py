@@ -22,11 +22,14 @@ from missionplanner.report.labels import Labels
 from missionplanner.report.relief import Box, Ground, contour_interval_m, relief_colours, sample_ground
 from missionplanner.report.shapes import Shape
 
-_MAP_WIDTH_IN = 7.15
-_MAP_LEFT_IN = 0.5
+_MAP_WIDTH_IN = 7.3
+_MAP_LEFT_IN = 0.36
 _MAP_BOTTOM_IN = 0.62
+_SCALE_BOTTOM_IN = 0.26
 _ROW_IN = 0.185
 _SITE_SHARE = 0.2
+_EDGE_IN = 0.05
+_CONTOUR_LABELS_APART_PX = 260.0
 _NAMED_VEHICLES = 14
 _KINDS = {
     "cylinder": "mast or building",
@@ -40,6 +43,7 @@ _KINDS = {
     "tower": "tower of the line",
 }
 _CONDUCTOR: dict[str, Any] = {"color": "#55606a", "linewidth": 6.2, "alpha": 0.55, "solid_capstyle": "butt"}
+_FENCE: dict[str, Any] = {"color": style.FENCE, "linewidth": 1.3, "linestyle": (0, (7, 2, 1.5, 2))}
 _FILL_ALPHA = {"cylinder": 0.55, "cone": 0.35, "radar": 0.18, "soft radar": 0.08, "marine": 0.30, "no_fly": 0.14}
 
 
@@ -48,11 +52,11 @@ def fleet_map(facts: Facts, shapes: Sequence[Shape]) -> Figure:
     box = map_box(facts, shapes)
     height_in = _MAP_WIDTH_IN * (box[3] - box[1]) / (box[2] - box[0])
     figure = style.new_figure(height_in + _MAP_BOTTOM_IN + 0.12)
-    axes = _map_axes(figure, box, _MAP_LEFT_IN, _MAP_BOTTOM_IN, _MAP_WIDTH_IN, height_in)
+    axes = _map_axes(figure, box, _MAP_LEFT_IN, _MAP_WIDTH_IN, height_in)
     ground = _draw_ground(axes, facts, box, columns=620)
-    drawn = [s for s in shapes if _overlaps(s.outline_m, box)]
+    drawn = [s for s in shapes if overlaps(s.outline_m, box)]
     _draw_all(axes, facts, drawn, ground)
-    _scale_bar(figure, box, _MAP_LEFT_IN, 0.26, _MAP_WIDTH_IN)
+    _scale_bar(figure, box, _MAP_LEFT_IN, _MAP_WIDTH_IN)
     _side_panel(figure, facts, drawn, ground, box)
     return figure
 
@@ -71,18 +75,20 @@ def detail_maps(facts: Facts, shapes: Sequence[Shape]) -> Figure | None:
     small = {title: places for title, places in sites.items() if _extent_m(places) < _SITE_SHARE * across}
     if not small:
         return None
-    size_in = 4.1
-    figure = style.new_figure(size_in + 0.95)
+    height_in = 4.1
+    width_in = height_in if len(small) > 1 else style.WIDTH_IN - _MAP_LEFT_IN - _EDGE_IN
+    figure = style.new_figure(height_in + 0.95)
     for i, (title, places) in enumerate(small.items()):
         middle = (places.min(axis=0) + places.max(axis=0))[:2] / 2
         half = max(0.85 * _extent_m(places), 0.02 * across, 40.0)
-        box = (middle[0] - half, middle[1] - half, middle[0] + half, middle[1] + half)
-        left = _MAP_LEFT_IN + i * (size_in + 0.75)
-        axes = _map_axes(figure, box, left, _MAP_BOTTOM_IN, size_in, size_in)
+        wide = half * width_in / height_in
+        box = (middle[0] - wide, middle[1] - half, middle[0] + wide, middle[1] + half)
+        left = _MAP_LEFT_IN + i * (width_in + 0.75)
+        axes = _map_axes(figure, box, left, width_in, height_in)
         ground = _draw_ground(axes, facts, box, columns=300)
-        _draw_all(axes, facts, [s for s in shapes if _overlaps(s.outline_m, box)], ground)
+        _draw_all(axes, facts, [s for s in shapes if overlaps(s.outline_m, box)], ground)
         axes.set_title(title, loc="left", fontsize=9, fontweight="bold", color=style.INK, pad=5)
-        _scale_bar(figure, box, left, 0.26, size_in)
+        _scale_bar(figure, box, left, width_in)
     return figure
 
 
@@ -90,15 +96,18 @@ def _extent_m(places: FloatArray) -> float:
     return float(np.ptp(places[:, :2], axis=0).max())
 
 
-def map_box(facts: Facts, shapes: Sequence[Shape]) -> Box:
-    """Return what the map shows: all paths, homes and towers; obstacles and fence where they are not much farther."""
+def map_box(facts: Facts, shapes: Sequence[Shape], least_ratio: tuple[float, float] = (0.95, 0.52)) -> Box:
+    """Return what the map shows: all paths, homes and towers; obstacles and fence where they are not much farther.
+
+    Width to height and height to width are at least ``least_ratio``.
+    """
     places = [v.plan.path_m[:, :2] for v in facts.vehicles] + [v.plan.home_m[None, :2] for v in facts.vehicles]
     places += [v.flown.record.trajectory.position_m[:, :2] for v in facts.vehicles if v.flown]
     if facts.scene.towers is not None:
         places.append(facts.scene.towers.top_m[:, :2])
     everything = np.concatenate(places)
     low, high = everything.min(axis=0), everything.max(axis=0)
-    limit = 1.35 * np.maximum(high - low, 0.35 * (high - low).max()) + 60.0
+    limit = 1.3 * _shown_size(high - low, least_ratio)
     extras = [s.outline_m for s in shapes]
     if len(facts.scene.space.fence):
         extras.append(facts.scene.space.fence)
@@ -106,22 +115,27 @@ def map_box(facts: Facts, shapes: Sequence[Shape]) -> Box:
         wider_low, wider_high = np.minimum(low, extra.min(axis=0)), np.maximum(high, extra.max(axis=0))
         if np.all(wider_high - wider_low <= limit):
             low, high = wider_low, wider_high
-    size = np.maximum(high - low, 60.0) * 1.12
-    size = np.maximum(size, [size[1] * 0.95, size[0] * 0.52])
-    middle = (low + high) / 2
-    west, south = middle - size / 2
-    east, north = middle + size / 2
+    size = _shown_size(high - low, least_ratio)
+    west, south = (low + high - size) / 2
+    east, north = (low + high + size) / 2
     return float(west), float(south), float(east), float(north)
 
 
-def _overlaps(outline_m: FloatArray, box: Box) -> bool:
+def _shown_size(extent_m: FloatArray, least_ratio: tuple[float, float]) -> FloatArray:
+    """Return the width and height (2,) of a picture of this extent: a rim all around, and never too slim."""
+    size = np.maximum(extent_m, 60.0) * 1.12
+    return np.maximum(size, [size[1] * least_ratio[0], size[0] * least_ratio[1]])
+
+
+def overlaps(outline_m: FloatArray, box: Box) -> bool:
+    """Return whether an outline's bounding box and a box share a place."""
     low, high = outline_m.min(axis=0), outline_m.max(axis=0)
     return bool(low[0] < box[2] and high[0] > box[0] and low[1] < box[3] and high[1] > box[1])
 
 
-def _map_axes(figure: Figure, box: Box, left_in: float, bottom_in: float, width_in: float, height_in: float) -> Axes:
+def _map_axes(figure: Figure, box: Box, left_in: float, width_in: float, height_in: float) -> Axes:
     whole = figure.get_size_inches()
-    axes = figure.add_axes((left_in / whole[0], bottom_in / whole[1], width_in / whole[0], height_in / whole[1]))
+    axes = figure.add_axes((left_in / whole[0], _MAP_BOTTOM_IN / whole[1], width_in / whole[0], height_in / whole[1]))
     axes.set_xlim(box[0], box[2])
     axes.set_ylim(box[1], box[3])
     for spine in axes.spines.values():
@@ -136,7 +150,7 @@ def _map_axes(figure: Figure, box: Box, left_in: float, bottom_in: float, width_
     axes.tick_params(length=2.5, width=0.6, labelsize=7, pad=2)
     axes.tick_params(axis="y", labelrotation=90)
     for label in axes.get_yticklabels():
-        label.set_va("center")
+        label.set_verticalalignment("center")
     return axes
 
 
@@ -144,9 +158,8 @@ def _draw_ground(axes: Axes, facts: Facts, box: Box, columns: int) -> Ground:
     ground = sample_ground(facts.scene.terrain, box, columns)
     sea = any(o.kind == "marine" for o in facts.scene.mission.obstacles)
     colours = relief_colours(ground, sea=sea)
-    axes.imshow(
-        colours, extent=(box[0], box[2], box[1], box[3]), origin="lower", interpolation="bilinear", aspect="auto", zorder=0
-    )  # fmt: skip
+    extent = (box[0], box[2], box[1], box[3])
+    axes.imshow(colours, extent=extent, origin="lower", interpolation="bilinear", aspect="auto", zorder=0)
     interval = contour_interval_m(ground.relief_m)
     if ground.relief_m > 2.0:
         low, high = np.nanmin(ground.height_amsl_m), np.nanmax(ground.height_amsl_m)
@@ -178,10 +191,9 @@ def _draw_all(axes: Axes, facts: Facts, shapes: Sequence[Shape], ground: Ground)
 def _draw_fence(axes: Axes, facts: Facts) -> None:
     fence = facts.scene.space.fence
     if len(fence):
-        axes.add_patch(Polygon(fence, closed=True, fill=False, edgecolor="white", linewidth=2.6, zorder=4.0))
-        axes.add_patch(
-            Polygon(fence, closed=True, fill=False, edgecolor="#1a6b3c", linewidth=1.3, linestyle=(0, (7, 2, 1.5, 2)), zorder=4.1)
-        )  # fmt: skip
+        outline = np.concatenate([fence, fence[:1]])
+        axes.plot(outline[:, 0], outline[:, 1], color="white", linewidth=2.6, zorder=4.0)
+        axes.plot(outline[:, 0], outline[:, 1], zorder=4.1, **_FENCE)
 
 
 def _kind(shape: Shape) -> str:
@@ -214,9 +226,7 @@ def _draw_shape(axes: Axes, shape: Shape) -> None:
         Polygon(outline, closed=True, facecolor=colour, alpha=_FILL_ALPHA[_kind(shape)], linewidth=0, zorder=3)
     )
     if hatch:
-        axes.add_patch(
-            Polygon(outline, closed=True, fill=False, edgecolor=colour, alpha=0.45, linewidth=0, hatch=hatch, zorder=3.1)
-        )  # fmt: skip
+        axes.add_patch(Polygon(outline, fill=False, edgecolor=colour, alpha=0.45, linewidth=0, hatch=hatch, zorder=3.1))
     dashes = (0, (4, 2)) if shape.kind == "radar" else "solid"
     axes.add_patch(
         Polygon(outline, closed=True, fill=False, edgecolor=colour, linewidth=1.0, linestyle=dashes, zorder=3.2)
@@ -231,7 +241,7 @@ def _draw_shape(axes: Axes, shape: Shape) -> None:
     if across_px < 5.0 * axes.figure.dpi / 72.0:
         axes.plot(
             *shape.centre_m, marker="X" if shape.kind == "cylinder" else "o", markersize=6.5, color=colour,
-            markeredgecolor="white", markeredgewidth=0.7, zorder=4.7,
+            markeredgecolor="white", markeredgewidth=0.7, zorder=8.6,
         )  # fmt: skip
 
 
@@ -243,17 +253,12 @@ def _draw_vehicle(axes: Axes, v: VehicleFacts) -> None:
     pixels = axes.transData.transform(waypoints[:, :2])
     spacing_pt = np.median(np.linalg.norm(np.diff(pixels, axis=0), axis=-1)) * 72.0 / axes.figure.dpi
     if spacing_pt > 6.0:
-        axes.plot(
-            waypoints[1:-1, 0], waypoints[1:-1, 1], linestyle="none", marker="o", markersize=2.8, markerfacecolor="white",
-            markeredgecolor=colour, markeredgewidth=0.9, zorder=8,
-        )  # fmt: skip
+        axes.plot(waypoints[1:-1, 0], waypoints[1:-1, 1], linestyle="none", zorder=8, **_ring("o", 2.8, colour, 0.9))
     if v.flown:
         track = v.flown.record.trajectory.position_m
         track = track[:: max(1, len(track) // 3000)]
         axes.plot(track[:, 0], track[:, 1], color=style.INK, linewidth=0.6, zorder=9)
-    axes.plot(
-        home[0], home[1], marker="s", markersize=6, color="white", markeredgecolor=colour, markeredgewidth=1.8, zorder=10
-    )  # fmt: skip
+    axes.plot(home[0], home[1], zorder=10, **_ring("s", 6.0, colour, 1.8))
     axes.plot(
         waypoints[-1, 0], waypoints[-1, 1], marker="o", markersize=7.5, color=colour, markeredgecolor="white",
         markeredgewidth=1.2, zorder=10,
@@ -306,23 +311,29 @@ def _label_contours(axes: Axes, labels: Labels, ground: Ground) -> None:
     if ground.relief_m <= 2.0 or interval <= 0.0:
         return
     z = ground.height_amsl_m
-    rows = np.linspace(0.12, 0.88, 4) * (len(ground.y_m) - 1)
-    for row in rows.astype(int):
-        over = np.floor(z[row] / interval)
-        for column in np.flatnonzero(np.abs(np.diff(over)) == 1)[::2]:
+    written: dict[float, list[FloatArray]] = {}
+    for row in np.linspace(0.12, 0.88, 6) * (len(ground.y_m) - 1):
+        heights = z[int(row)]
+        over = np.floor(heights / interval)
+        for column in np.flatnonzero(np.abs(np.diff(over)) == 1):
             level = max(over[column], over[column + 1]) * interval
-            place = np.array([ground.x_m[column], ground.y_m[row]])
-            labels.place(f"{level:g}", place, size=6, centred=True, color="#6b5a42")
+            place = np.array([ground.x_m[column], ground.y_m[int(row)]])
+            pixel = axes.transData.transform(place)
+            others = written.setdefault(level, [])
+            if all(math.dist(pixel, other) > _CONTOUR_LABELS_APART_PX for other in others) and labels.place(
+                f"{level:g}", place, size=6, centred=True, color="#6b5a42"
+            ):
+                others.append(pixel)
 
 
-def _scale_bar(figure: Figure, box: Box, left_in: float, bottom_in: float, width_in: float) -> None:
+def _scale_bar(figure: Figure, box: Box, left_in: float, width_in: float) -> None:
     metres = box[2] - box[0]
     rough = metres / 5.0
     decade = 10.0 ** math.floor(math.log10(rough))
     length = max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= rough)
     whole = figure.get_size_inches()
     bar_in = length / metres * width_in
-    x0, x1, y = left_in / whole[0], (left_in + bar_in) / whole[0], bottom_in / whole[1]
+    x0, x1, y = left_in / whole[0], (left_in + bar_in) / whole[0], _SCALE_BOTTOM_IN / whole[1]
     tick = 0.035 / whole[1]
     figure.add_artist(Line2D([x0, x0, x1, x1], [y + tick, y, y, y + tick], color=style.INK, linewidth=1.3))
     middle = (x0 + x1) / 2
@@ -349,7 +360,7 @@ def _side_panel(figure: Figure, facts: Facts, shapes: Sequence[Shape], ground: G
     """Draw north arrow, legend and, for a large area, an overview: beside the map, so nothing is covered."""
     whole = figure.get_size_inches()
     left_in = _MAP_LEFT_IN + _MAP_WIDTH_IN + 0.16
-    width_in = whole[0] - left_in - 0.05
+    width_in = whole[0] - left_in - _EDGE_IN
     axes = figure.add_axes((left_in / whole[0], 0.0, width_in / whole[0], 1.0))
     axes.set_xlim(0, width_in)
     axes.set_ylim(0, whole[1])
@@ -368,14 +379,15 @@ def _side_panel(figure: Figure, facts: Facts, shapes: Sequence[Shape], ground: G
             axes.text(0.40, y, row.text, fontsize=7.5, va="center")
             y -= _ROW_IN
         y -= 0.1
-    _overview(figure, facts, box, left_in, width_in, y)
+    _overview(figure, facts, box, left_in, y)
 
 
 def _north_arrow(axes: Axes, x: float, top: float) -> None:
-    axes.add_patch(Polygon([[x, top + 0.08], [x - 0.075, top - 0.22], [x, top - 0.15]], color=style.INK, linewidth=0))
+    tip, notch = (x, top + 0.08), (x, top - 0.15)
+    axes.add_patch(Polygon([tip, (x - 0.075, top - 0.22), notch], color=style.INK, linewidth=0))
     axes.add_patch(
-        Polygon([[x, top + 0.08], [x + 0.075, top - 0.22], [x, top - 0.15]], facecolor="white", edgecolor=style.INK, linewidth=0.7)
-    )  # fmt: skip
+        Polygon([tip, (x + 0.075, top - 0.22), notch], facecolor="white", edgecolor=style.INK, linewidth=0.7)
+    )
     axes.text(x, top - 0.30, "N", fontsize=8, fontweight="bold", ha="center", va="center")
 
 
@@ -401,7 +413,7 @@ def _legend(facts: Facts, shapes: Sequence[Shape], ground: Ground) -> list[tuple
     kinds = {_kind(shape) for shape in shapes}
     things = [_key(kind) for kind in _KINDS if kind in kinds]
     if len(facts.scene.space.fence):
-        things.append(_Row("fence", {"color": "#1a6b3c", "linewidth": 1.3, "linestyle": (0, (7, 2, 1.5, 2))}))
+        things.append(_Row("fence", _FENCE))
     if ground.relief_m > 2.0:
         interval = contour_interval_m(ground.relief_m)
         things.append(_Row(f"contours every {interval:g} m", {"color": "#7c6a50", "linewidth": 0.8}))
@@ -420,27 +432,20 @@ def _key(kind: str) -> _Row:
         return _Row(_KINDS[kind], _CONDUCTOR if kind == "conductor" else {"color": colour, "linewidth": 1.5})
     if kind == "tower":
         return _Row(_KINDS[kind], mark={"marker": "s", "markersize": 3.8, "color": colour})
-    fill = to_rgba(colour, _FILL_ALPHA[kind])
-    return _Row(
-        _KINDS[kind],
-        mark={
-            "marker": "s" if kind == "no_fly" else "o",
-            "markersize": 8,
-            "markerfacecolor": fill,
-            "markeredgecolor": colour,
-        },  # fmt: skip
-    )
+    mark = _ring("s" if kind == "no_fly" else "o", 8.0, colour, 1.0)
+    return _Row(_KINDS[kind], mark={**mark, "color": to_rgba(colour, _FILL_ALPHA[kind])})
 
 
-def _overview(figure: Figure, facts: Facts, box: Box, left_in: float, width_in: float, top_in: float) -> None:
+def _overview(figure: Figure, facts: Facts, box: Box, left_in: float, top_in: float) -> None:
     """Show where the map lies in the mission's area, if that is much larger and there is room below the legend."""
     west, south, east, north = facts.scene.area_m
     if (east - west) < 1.5 * (box[2] - box[0]) and (north - south) < 1.5 * (box[3] - box[1]):
         return
+    whole = figure.get_size_inches()
+    width_in = whole[0] - left_in - _EDGE_IN
     height_in = width_in * (north - south) / (east - west)
     if height_in > min(2.2, top_in - 0.45):
         return
-    whole = figure.get_size_inches()
     axes = figure.add_axes((left_in / whole[0], _MAP_BOTTOM_IN / whole[1], width_in / whole[0], height_in / whole[1]))
     ground = sample_ground(facts.scene.terrain, facts.scene.area_m, 200)
     colours = relief_colours(ground, sea=False)

@@ -133,10 +133,12 @@ def _pictures(facts: Facts) -> Iterator[_Picture]:
         yield _picture("map", "Map", fleet_map(facts, outlines), "", f"Map of the mission with the paths of {fleet}.")
         detail = detail_maps(facts, outlines)
         if detail is not None:
-            yield _picture("sites", "Where they start and end", detail, "", "Maps of the take-off site and of the goals.")
+            yield _picture(
+                "sites", "Where they start and end", detail, "", "Maps of the take-off site and of the goals."
+            )
         yield _picture(
             "view", "In space", space_view(facts, outlines), "Coloured curtains hang from the paths down to the "
-            "ground; dotted: behind a ridge. Solids without an upper limit are cut at the highest path.",
+            "ground; dotted: behind a ridge. Solids are cut off above the paths.",
             f"View of the terrain with the obstacles and the paths of {fleet}.",
         )  # fmt: skip
         yield from _profiles(facts, outlines)
@@ -152,7 +154,7 @@ def _pictures(facts: Facts) -> Iterator[_Picture]:
         if any(v.plan.history.size for v in facts.vehicles):
             yield _picture(
                 "cost", "Cost of the search", charts.cost_history(facts),
-                "The best cost found so far, per vehicle (PAPER.md eqs 13 and 20).",
+                "The lowest price of a path found so far, per vehicle: the lower, the better.",
                 "Best cost over the iterations of the search, per vehicle.",
             )  # fmt: skip
 
@@ -201,15 +203,15 @@ def _tiles(facts: Facts) -> Iterator[_Tile]:
             "arrivals flown", "incomplete" if spread_s is None else f"{spread_s:.2f} s", "from first to last",
             bad=spread_s is None,
         )  # fmt: skip
-    for what, label in (("terrain", "least height above ground"), ("obstacle", "nearest obstacle")):
+    for what, label in (("terrain", "least above ground"), ("obstacle", "least to obstacles")):
         tile = _least_tile(facts, what, label)
         if tile is not None:
             yield tile
     separation = facts.flown_separation if facts.flown else plan.separation
     if separation is not None:
         yield _Tile(
-            "least separation" + _tense(facts), f"{separation.distance_m:.1f} m",
-            f"{separation.required_m:g} m required; {separation.what}", bad=not separation.ok,
+            "least between vehicles", f"{separation.distance_m:.1f} m",
+            f"{_how(facts)}; {separation.required_m:g} m required; {separation.what}", bad=not separation.ok,
         )  # fmt: skip
     total = sum(v.plan.length_m for v in facts.vehicles)
     yield _Tile("paths", _length(total), f"{len(facts.vehicles)} vehicle{'s' if len(facts.vehicles) > 1 else ''}")
@@ -226,7 +228,8 @@ def _least_tile(facts: Facts, what: str, label: str) -> _Tile | None:
         return None
     least, name = min(found, key=lambda entry: entry[0].distance_m - entry[0].required_m)
     thing = f"{least.what}, {name}" if what == "obstacle" else name
-    return _Tile(label + _tense(facts), _metres(least.distance_m), f"{least.required_m:g} m required; {thing}", bad=not least.ok)
+    note = f"{_how(facts)}; {least.required_m:g} m required; {thing}"
+    return _Tile(label, _metres(least.distance_m), note, bad=not least.ok)
 
 
 def _vehicle_row(v: VehicleFacts) -> _VehicleRow:
@@ -251,15 +254,17 @@ def _vehicle_row(v: VehicleFacts) -> _VehicleRow:
 
 
 def _clearance_rows(facts: Facts) -> Iterator[_ClearanceRow]:
+    fenced = facts.scene.mission.fence is not None
     for v in facts.vehicles:
         flown = {_kind(c): c for c in v.flown.clearances} if v.flown else {}
-        for i, planned in enumerate(v.plan.clearances):
+        told = [c for c in v.plan.clearances if fenced or c.what != "fence" or not c.ok]
+        for i, planned in enumerate(told):
             other = flown.get(_kind(planned))
             yield _ClearanceRow(
                 vehicle=v.name,
                 colour=style.vehicle_colour(v.index),
                 first=i == 0,
-                to={"terrain": "ground below", "ceiling": "ceiling above"}.get(planned.what, planned.what),
+                to=_thing(facts, planned),
                 required=f"{planned.required_m:g}" + (f" / {other.required_m:g}" if other else ""),
                 planned=_metres(planned.distance_m, unit=""),
                 planned_ok=planned.ok,
@@ -290,10 +295,9 @@ def _provenance(facts: Facts) -> Iterator[tuple[str, str]]:
     yield "mission", mission.name
     yield "origin", f"{mission.origin.lat_deg:.6f}, {mission.origin.lon_deg:.6f}"
     yield "terrain", facts.scene.terrain.description
-    yield "search", (
-        f"{mission.planner.algorithm}, population {mission.planner.population}, {mission.planner.iterations} iterations, "
-        f"{sum(v.plan.evaluations for v in facts.vehicles):,} evaluations"
-    )
+    settings, evaluations = mission.planner, sum(v.plan.evaluations for v in facts.vehicles)
+    search = f"{settings.algorithm}, population {settings.population}, {settings.iterations} iterations"
+    yield "search", f"{search}, {evaluations:,} evaluations"
     yield "seed", str(plan.seed)
     yield "software", f"missionplanner {plan.software_version}"
     yield "inputs, SHA-256", plan.input_sha256
@@ -312,19 +316,24 @@ def _separation_caption(facts: Facts) -> str:
 def _arrival_caption(facts: Facts) -> str:
     if facts.plan.arrival_s is None:
         return "The mission does not ask for a common arrival: every vehicle arrives in its own time."
-    return "A common arrival is possible at any time that lies in every vehicle's window (PAPER.md eq. 10)."
+    return "A common arrival is possible at any time that lies in every vehicle's window."
 
 
 def _kind(c: Clearance) -> str:
     return c.what if c.what in ("terrain", "ceiling", "fence") else "obstacle"
 
 
+def _thing(facts: Facts, c: Clearance) -> str:
+    edge = "fence" if facts.scene.mission.fence is not None else "edge of the area"
+    return {"terrain": "ground below", "ceiling": "ceiling above", "fence": edge}.get(c.what, c.what)
+
+
 def _named_otherwise(planned: Clearance, flown: Clearance) -> str:
     return f" to {flown.what}" if flown.what != planned.what else ""
 
 
-def _tense(facts: Facts) -> str:
-    return ", flown" if facts.flown else ""
+def _how(facts: Facts) -> str:
+    return "flown" if facts.flown else "planned"
 
 
 def _where(frame: LocalFrame, c: Clearance) -> str:

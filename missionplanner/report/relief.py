@@ -17,6 +17,8 @@ Box = tuple[float, float, float, float]  # west, south, east, north, metres
 _TINT = LinearSegmentedColormap.from_list("tint", ["#e3ebdf", "#eef0e2", "#f6f0e0", "#efe3d2", "#f7f3ee"])
 _SEA = np.array([0.83, 0.90, 0.94])
 _VOID = np.array([0.90, 0.91, 0.92])
+_FLAT_M = 2.0
+_SEA_LEVEL_M = 2.0
 _SUN = np.array([-1.0, 1.0, 1.35]) / math.sqrt(1.0 + 1.0 + 1.35**2)
 
 
@@ -52,9 +54,10 @@ def relief_colours(ground: Ground, *, sea: bool) -> FloatArray:
         return np.broadcast_to(_VOID, (*z.shape, 3)).copy()
     low, high = np.percentile(z[known], [1, 99])
     filled = np.where(known, z, low)
-    colours = np.asarray(_TINT((filled - low) / max(high - low, 1.0)))[..., :3]
+    share = (filled - low) / (high - low) if high - low > _FLAT_M else np.full(z.shape, 0.4)
+    colours = np.asarray(_TINT(share))[..., :3]
     if sea:
-        colours[filled <= 0.5] = _SEA
+        colours[filled <= _SEA_LEVEL_M] = _SEA
     shade = _shade(filled, ground)
     colours = np.clip(colours * shade[..., None], 0.0, 1.0)
     colours[~known] = _VOID

@@ -112,16 +112,23 @@ def facets(shape: Shape, ground_amsl_m: float, cap_amsl_m: float) -> list[FloatA
     if _area_m2(outline) < 0.0:
         outline = outline[::-1]
     if shape.kind == "cone":
-        shares, top = np.linspace(0.0, 1.0, 13), shape.centre_m
+        top = shape.centre_m + (outline - shape.centre_m) * (1.0 - (high - shape.low_m) / (shape.high_m - shape.low_m))
+        outline = shape.centre_m + (outline - shape.centre_m) * (
+            1.0 - (low - shape.low_m) / (shape.high_m - shape.low_m)
+        )
+        shares = np.linspace(0.0, 1.0, 13)
     else:
         size_m = float(np.ptp(outline, axis=0).max()) / 16
-        outline = _refined(outline, size_m)
-        shares, top = np.linspace(0.0, 1.0, int(np.clip((high - low) / size_m, 1, 12)) + 1), outline
+        top = outline = _refined(outline, size_m)
+        shares = np.linspace(0.0, 1.0, int(np.clip((high - low) / size_m, 1, 12)) + 1)
     rings = np.stack(
-        [np.column_stack([outline + u * (top - outline), np.full(len(outline), low + u * (high - low))]) for u in shares]
+        [
+            np.column_stack([outline + u * (top - outline), np.full(len(outline), low + u * (high - low))])
+            for u in shares
+        ]
     )
     walls = np.stack([rings[:-1, :-1], rings[:-1, 1:], rings[1:, 1:], rings[1:, :-1]], axis=2).reshape(-1, 4, 3)
-    return [walls] if shape.kind == "cone" else [walls, rings[-1:, :-1]]
+    return [walls, rings[-1:, :-1]]
 
 
 def _refined(outline_m: FloatArray, size_m: float) -> FloatArray:

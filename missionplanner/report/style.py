@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -20,6 +21,7 @@ GROUND_EDGE = "#8d7f6a"
 MARGIN = "#e8a33d"
 BAD = "#b3261e"
 STEEL = "#2f3a44"
+FENCE = "#1a6b3c"
 
 WIDTH_IN = 9.6
 DPI = 160
@@ -67,8 +69,9 @@ _RC: dict[str, object] = {
 @contextmanager
 def look() -> Iterator[None]:
     """Draw with the report's own settings, whatever the user's matplotlibrc says; put everything back afterwards."""
-    plain = {key: value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith("backend")}
-    with matplotlib.rc_context({**plain, **_RC}):
+    settings: dict[Any, Any] = {k: v for k, v in matplotlib.rcParamsDefault.items() if not k.startswith("backend")}
+    settings.update(_RC)
+    with matplotlib.rc_context(settings):
         yield
 
 
@@ -104,5 +107,5 @@ def quiet(axes: Axes) -> None:
 def to_png(figure: Figure) -> bytes:
     """Return the drawn figure; the same bytes for the same drawing."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
+    figure.savefig(buffer, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": 4})
     return buffer.getvalue()

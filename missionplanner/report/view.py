@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,12 +24,12 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.report import style
 from missionplanner.report.facts import Facts, VehicleFacts
 from missionplanner.report.labels import Labels
-from missionplanner.report.maps import map_box
-from missionplanner.report.relief import Ground, relief_colours, sample_ground
+from missionplanner.report.maps import map_box, overlaps
+from missionplanner.report.relief import Box, Ground, relief_colours, sample_ground
 from missionplanner.report.shapes import Shape, facets
 
-_AZIMUTH_RAD = math.radians(24.0)  # the viewer stands in the south-south-west
-_ELEVATION_RAD = math.radians(33.0)
+_VIEWS = {"south-south-west": 24.0, "south-south-east": -24.0, "west-south-west": 60.0, "east-south-east": -60.0}
+_ELEVATION_RAD = math.radians(38.0)
 _COLUMNS = 1440
 _DEPTHS = 900
 _GROUND_CELLS = 420
@@ -40,6 +41,7 @@ _LIGHT = np.array([-0.6, -0.25, 0.75])
 class _Camera:
     """An orthographic view of a ground block; screen positions are metres right of and above the block's middle."""
 
+    stands: str  # where the viewer stands
     middle_m: FloatArray  # (2,)
     base_m: float  # altitude of the block's foot
     exaggeration: float
@@ -47,8 +49,14 @@ class _Camera:
     def turn(self, positions_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return how far right (...) and how far away (...) positions (..., 2 or 3) are."""
         x, y = positions_m[..., 0] - self.middle_m[0], positions_m[..., 1] - self.middle_m[1]
-        sin, cos = math.sin(_AZIMUTH_RAD), math.cos(_AZIMUTH_RAD)
+        sin, cos = self.sin_cos
         return x * cos - y * sin, x * sin + y * cos
+
+    @property
+    def sin_cos(self) -> tuple[float, float]:
+        """Sine and cosine of the bearing of the view."""
+        bearing_rad = math.radians(_VIEWS[self.stands])
+        return math.sin(bearing_rad), math.cos(bearing_rad)
 
     def up(self, away_m: FloatArray, z_m: FloatArray) -> FloatArray:
         """Return the height on the screen of points this far away and at these altitudes."""
@@ -66,6 +74,8 @@ class _Block:
     """The drawn ground: its picture, and per column of the picture how high the ground in front of a depth reaches."""
 
     camera: _Camera
+    box: Box
+    front_m: float  # how far right the nearest corner is
     right_m: FloatArray  # (C,)
     near_m: FloatArray  # (C,) where a column enters the block
     far_m: FloatArray
@@ -108,7 +118,7 @@ def space_view(facts: Facts, shapes: Sequence[Shape]) -> Figure:
 
 
 def _draw_block(facts: Facts, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
-    box = map_box(facts, shapes)
+    box = map_box(facts, shapes, least_ratio=(0.4, 0.4))
     ground = sample_ground(facts.scene.terrain, box, _GROUND_CELLS)
     sea = any(o.kind == "marine" for o in facts.scene.mission.obstacles)
     colours = relief_colours(ground, sea=sea)
@@ -120,14 +130,16 @@ def _draw_block(facts: Facts, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
     highest = max(float(heights.max()), *(float(v.plan.path_m[:, 2].max()) for v in facts.vehicles))
     exaggeration = _exaggeration(highest - low, across)
     base = low - 0.035 * across / exaggeration
-    camera = _Camera(np.array([(west + east) / 2, (south + north) / 2]), base, exaggeration)
+    cameras = [_Camera(name, np.array([(west + east) / 2, (south + north) / 2]), base, exaggeration) for name in _VIEWS]
+    paths = np.concatenate([v.plan.path_m for v in facts.vehicles])
+    camera = max(cameras, key=lambda c: round(float(np.ptp(c.turn(paths)[0])), 3))
 
     corners = np.array([[west, south], [east, south], [east, north], [west, north]])
     right_corner, away_corner = camera.turn(corners)
     right = np.linspace(right_corner.min(), right_corner.max(), _COLUMNS)
     near, far = _block_edges(right_corner, away_corner, right)
     away = near + (far - near) * np.linspace(0.0, 1.0, _DEPTHS)[:, None]
-    sin, cos = math.sin(_AZIMUTH_RAD), math.cos(_AZIMUTH_RAD)
+    sin, cos = camera.sin_cos
     x = right * cos + away * sin + camera.middle_m[0]
     y = -right * sin + away * cos + camera.middle_m[1]
     at = [
@@ -138,6 +150,12 @@ def _draw_block(facts: Facts, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
     horizon = np.maximum.accumulate(screen_up, axis=0)
 
     tallest = [camera.project(v.plan.path_m)[:, 1].max() for v in facts.vehicles]
+    cap = _cap_m(facts, base)
+    tallest += [
+        camera.project(np.column_stack([s.outline_m, np.full(len(s.outline_m), min(s.high_m, cap))]))[:, 1].max()
+        for s in shapes
+        if overlaps(s.outline_m, box)
+    ]
     step = right[1] - right[0]
     bottom = float(camera.up(near, np.array(base)).min()) - 3 * step
     top = max(float(horizon[-1].max()), *map(float, tallest)) + 0.045 * (right[-1] - right[0])
@@ -153,7 +171,7 @@ def _draw_block(facts: Facts, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
         image[first:rise, c, :3] = _SKIRTS[int(right[c] > right_corner[front])]
         image[first:last, c, 3] = 1.0
     screen = (float(right[0]), float(right[-1]), bottom, float(rows[-1] + step))
-    return _Block(camera, right, near, far, horizon, image, screen), ground
+    return _Block(camera, box, float(right_corner[front]), right, near, far, horizon, image, screen), ground
 
 
 def _exaggeration(relief_m: float, across_m: float) -> float:
@@ -186,13 +204,15 @@ def _draw_fence(axes: Axes, facts: Facts, block: _Block, ground: Ground) -> None
         ]  # fmt: skip
         if len(line) > 1:
             foot = np.column_stack([line, facts.scene.terrain.height_amsl_m(line[:, 0], line[:, 1])])
-            _draw_line(axes, block, foot, "#1a6b3c", 1.2, zorder=3, hidden=False)
+            _draw_line(axes, block, foot, style.FENCE, 1.2, zorder=3, hidden=False)
 
 
 def _draw_shapes(axes: Axes, facts: Facts, block: _Block, shapes: Sequence[Shape]) -> None:
-    cap = max(float(v.plan.path_m[:, 2].max()) for v in facts.vehicles)
+    cap = _cap_m(facts, block.camera.base_m)
     polygons: list[tuple[float, FloatArray, tuple[float, ...]]] = []
     for shape in shapes:
+        if not overlaps(shape.outline_m, block.box):
+            continue
         colour = style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL)
         if shape.kind in ("cable", "conductor"):
             _draw_line(axes, block, _subdivide(shape.axis_m), colour, 1.3 if shape.kind == "cable" else 0.8, zorder=5)
@@ -205,7 +225,7 @@ def _draw_shapes(axes: Axes, facts: Facts, block: _Block, shapes: Sequence[Shape
             continue
         found = facets(shape, ground if math.isfinite(ground) else block.camera.base_m, cap)
         for facet in found:
-            polygons += _shaded(block, facet, colour, 0.34 if shape.hard else 0.15)
+            polygons += _shaded(facts, block, facet, colour, 0.34 if shape.hard else 0.15)
     polygons.sort(key=lambda entry: -entry[0])
     if polygons:
         collection = PolyCollection(
@@ -215,15 +235,22 @@ def _draw_shapes(axes: Axes, facts: Facts, block: _Block, shapes: Sequence[Shape
         axes.add_collection(collection)
 
 
+def _cap_m(facts: Facts, base_m: float) -> float:
+    """Return the altitude at which solids are cut: a little above the highest path."""
+    highest = max(float(v.plan.path_m[:, 2].max()) for v in facts.vehicles)
+    return highest + 0.12 * (highest - base_m)
+
+
 def _shaded(
-    block: _Block, facets_m: FloatArray, colour: str, alpha: float
+    facts: Facts, block: _Block, facets_m: FloatArray, colour: str, alpha: float
 ) -> list[tuple[float, FloatArray, tuple[float, ...]]]:
     """Return those of facets (F, N, 3) that are seen: depth, outline on the screen and colour of each."""
     screen = block.camera.project(facets_m)
     turned = np.roll(screen, -1, axis=1)
     towards = (screen[..., 0] * turned[..., 1] - turned[..., 0] * screen[..., 1]).sum(axis=1) > 0.0
     middle = facets_m.mean(axis=1)
-    seen = towards & block.visible(middle)
+    ground = facts.scene.terrain.height_amsl_m(middle[:, 0], middle[:, 1])
+    seen = towards & block.visible(middle) & ~(middle[:, 2] < ground)
     normal = np.cross(facets_m[:, 1] - facets_m[:, 0], facets_m[:, 2] - facets_m[:, 0])
     light = 0.78 + 0.3 * (normal @ _LIGHT) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
     shades = np.clip(np.array(to_rgb(colour)) * light[:, None] + 0.08, 0.0, 1.0)
@@ -272,9 +299,8 @@ def _draw_line(
     axes.add_collection(LineCollection(shown, colors=colour, linewidths=width, alpha=alpha, zorder=zorder))
     if hidden:
         behind = list(_runs(screen, ~both))
-        axes.add_collection(
-            LineCollection(behind, colors=colour, linewidths=0.8 * width, alpha=0.55, linestyles=[(0, (1.0, 1.4))], zorder=zorder)
-        )  # fmt: skip
+        dots: dict[str, Any] = {"linestyles": [(0, (1.0, 1.4))], "linewidths": 0.8 * width, "alpha": 0.55}
+        axes.add_collection(LineCollection(behind, colors=colour, zorder=zorder, **dots))
 
 
 def _runs(line: FloatArray, keep: npt.NDArray[np.bool_]) -> Iterable[FloatArray]:
@@ -297,9 +323,9 @@ def _label(labels: Labels, axes: Axes, facts: Facts, block: _Block, shapes: Sequ
             [v.name for v in facts.vehicles], [style.vehicle_colour(v.index) for v in facts.vehicles],
             block.camera.project(places), f"{len(places)} {word}",
         )  # fmt: skip
-    cap = max(float(v.plan.path_m[:, 2].max()) for v in facts.vehicles)
+    cap = _cap_m(facts, block.camera.base_m)
     for shape in shapes:
-        if shape.kind in ("tower", "conductor"):
+        if shape.kind in ("tower", "conductor") or not overlaps(shape.outline_m, block.box):
             continue
         top = np.array([*shape.centre_m, min(shape.high_m, cap)])
         if block.visible(top):
@@ -316,15 +342,16 @@ def _compass(axes: Axes, block: _Block, ground: Ground) -> None:
     left, right, bottom, _ = block.screen
     size = 0.045 * (right - left)
     flat = math.sin(_ELEVATION_RAD)
-    turn = np.array(
-        [[math.cos(_AZIMUTH_RAD), -math.sin(_AZIMUTH_RAD)], [math.sin(_AZIMUTH_RAD), math.cos(_AZIMUTH_RAD)]]
-    )
+    sin, cos = block.camera.sin_cos
+    turn = np.array([[cos, -sin], [sin, cos]])
     arrow = np.array([[0.0, 1.0], [-0.38, -0.7], [0.0, -0.35], [0.38, -0.7]]) @ turn.T * (size, size * flat)
     middle = np.array([left + 1.4 * size, bottom + 1.6 * size])
     axes.add_patch(Polygon(middle + arrow, facecolor=style.INK, linewidth=0, zorder=20))
     tip = middle + 1.55 * (np.array([0.0, 1.0]) @ turn.T * (size, size * flat))
-    axes.text(*tip, "N", fontsize=8, fontweight="bold", ha="center", va="center", zorder=20)
-    words = "seen from the south-south-west"
+    axes.text(tip[0], tip[1], "N", fontsize=8, fontweight="bold", ha="center", va="center", zorder=20)
+    words = f"seen from the {block.camera.stands}"
     if block.camera.exaggeration != 1.0:
         words += f", heights times {block.camera.exaggeration:g}"
-    axes.text(0.995, 0.012, words, transform=axes.transAxes, fontsize=7, color=style.MUTED, ha="right", va="bottom")
+    at = 0.995 if block.front_m < 0.0 else 0.005
+    side = "right" if block.front_m < 0.0 else "left"
+    axes.text(at, 0.012, words, transform=axes.transAxes, fontsize=7, color=style.MUTED, ha=side, va="bottom")
