@@ -684,7 +684,7 @@ def _depth_integral(
                 total += 0.5 * (before + piece) * (slack * slack if squared else -slack)
                 j += 1
             elif slack < ahead:
-                j += max(1, int(slack / piece))
+                j += 1 + int(slack / piece)
             else:
                 j = pieces
             before = piece
