@@ -316,6 +316,7 @@ class Autopilot:
 
     def set_mission(self, items: Sequence[MissionItem], current: int | None, now_s: float) -> None:
         """Take note of a new or changed mission; one that is being flown goes on at the same item."""
+        ahead_changed = list(items[self.current :]) != list(self.mission[self.current :])
         self.mission = items
         self._jumps.clear()
         if len(items) <= self._first:
@@ -330,7 +331,7 @@ class Autopilot:
             self.mission_state = MissionState.NOT_STARTED
             self.current = current or 0
         self.current = min(self.current, len(items) - 1)
-        if self.mission_state is MissionState.ACTIVE and self._stage is not None:
+        if self.mission_state is MissionState.ACTIVE and self._stage is not None and ahead_changed:
             self._begin_mission(now_s)
 
     def set_current(self, seq: int, now_s: float) -> bool:
@@ -555,7 +556,7 @@ class Autopilot:
             if self.personality.speed_resets and speed_m_s <= 0.0:
                 self._speed_m_s = self.default_speed_m_s
             return
-        vertical = 0 if self.personality.speed_resets else int(kind)  # PX4 does not look at the type
+        vertical = 0.0 if self.personality.speed_resets else kind  # PX4 does not look at the type
         if vertical == mavlink.SPEED_TYPE_CLIMB_SPEED:
             self._climb_m_s = speed_m_s
         elif vertical == mavlink.SPEED_TYPE_DESCENT_SPEED:

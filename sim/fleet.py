@@ -28,6 +28,7 @@ from sim.telemetry import Motion
 from sim.vehicle_link import COMPONENT_ID, VehicleLink
 
 _DATAGRAM_BYTES = 1_400  # several messages share a datagram up to this size
+_PEERS_MAX = 256
 _MOVING_M_S = 0.3
 _LAG_MAX_S = 0.5  # real time; a computer that cannot keep up runs the simulation slower instead of in bursts
 _SYSTEM_MAX = 250
@@ -223,6 +224,8 @@ class _Port:
         for data, peer in self.endpoint.receive():
             parser = self._parsers.get(peer)
             if parser is None:
+                if len(self._parsers) >= _PEERS_MAX:  # somebody speaks from ever new ports
+                    self._parsers.pop(next(iter(self._parsers)))
                 parser = self._parsers[peer] = _encoder(0)
             for message in parser.parse_buffer(data) or ():
                 if message.get_type() != "BAD_DATA":

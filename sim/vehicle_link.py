@@ -404,7 +404,10 @@ class VehicleLink:
         return self.autopilot.takeoff(alt_amsl_m, now_s)
 
     def _do_behave(self, behaviour: Behaviour, now_s: float) -> int:
-        return self.autopilot.set_mode(self.autopilot.personality.mode_for(behaviour), now_s)
+        for mode in self.autopilot.personality.modes:
+            if mode.behaviour is behaviour:
+                return self.autopilot.set_mode(mode, now_s)
+        return _UNSUPPORTED  # ArduPlane has no mode that lands
 
     def _do_loiter(self, command: _Command, now_s: float, replies: list[Any]) -> int:
         del command, replies
@@ -428,7 +431,7 @@ class VehicleLink:
 
     def _do_change_speed(self, command: _Command, now_s: float, replies: list[Any]) -> int:
         del now_s, replies
-        if not math.isfinite(command.params[1]):
+        if not all(map(math.isfinite, command.params[:2])):
             return _DENIED
         return self.autopilot.change_speed(command.params[0], command.params[1])
 

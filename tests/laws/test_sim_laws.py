@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.mission_items import MissionItem
-from missionplanner.vehicle import Autopilot
+from missionplanner.vehicle import Autopilot, VehicleClass
 from sim.personality import personality
+from sim.vehicle_link import _MISSION_MESSAGES, VehicleLink
 from tests.simulated import LAT, LON, Ground, item_message, mission, of_type, renumbered
 
 AUTOPILOTS = st.sampled_from(["ardupilot", "px4"])
@@ -100,3 +103,49 @@ def test_mutated_frames_are_survived(autopilot: Autopilot, noise: bytes, where: 
     ground.fleet.poll()
     ground.run(0.1)
     assert not ground.autopilot.armed
+
+
+MESSAGES = [*VehicleLink._HANDLERS, *_MISSION_MESSAGES]
+NUMBERS = [0.0, 1.0, -1.0, 2.0, 4.0, 16.0, 255.0, 21_196.0, 1e30, -1e30, math.inf, -math.inf, math.nan]
+RANGES = {f"{sign}int{bits}_t": bits for sign in ("", "u") for bits in (8, 16, 32, 64)}
+
+
+def random_message(rng: np.random.Generator, ground: Ground) -> Any:
+    """Return a message that the vehicle heeds, with fields from the edges of what they can hold."""
+    kind = MESSAGES[rng.integers(len(MESSAGES))]
+    commands = [*ground.vehicle._commands, *ground.autopilot.personality.transfer.commands]
+
+    def value(name: str, wire_type: str) -> Any:
+        if wire_type in ("float", "double"):
+            return NUMBERS[rng.integers(len(NUMBERS))]
+        if wire_type == "char":
+            return b"WPNAV_SPEED"
+        if name in ("target_system", "target_component"):
+            return int(rng.integers(2))
+        if name == "command":
+            return int(commands[rng.integers(len(commands))])
+        bits = RANGES[wire_type]
+        low, high = (0, 2**bits - 1) if wire_type.startswith("u") else (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1)
+        edges = [low, high, 0, 1, 2, 3, 5, 6]
+        return edges[rng.integers(len(edges))]
+
+    def field(name: str, wire_type: str) -> Any:
+        return [value(name, wire_type) for _ in range(251)] if name == "payload" else value(name, wire_type)
+
+    return kind(*(field(n, t) for n, t in zip(kind.fieldnames, kind.fieldtypes, strict=True)))
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize("vehicle_class", ["copter", "plane"])
+def test_no_message_makes_a_flying_vehicle_crash(autopilot: Autopilot, vehicle_class: VehicleClass) -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(4):
+        ground = Ground(autopilot, vehicle_class)
+        ground.upload(mission(autopilot))
+        ground.mode("GUIDED" if autopilot == "ardupilot" else "POSCTL")
+        ground.arm()
+        ground.start()
+        for _ in range(200):
+            ground.send(random_message(rng, ground))
+            ground.run(0.1)
+            assert np.isfinite(ground.autopilot.position_m).all()

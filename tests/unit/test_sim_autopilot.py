@@ -339,3 +339,16 @@ def test_plane_flies_its_mission_and_circles(autopilot: Autopilot) -> None:
     assert ground.autopilot.current == len(items) - 1
     assert ground.autopilot.armed
     assert np.hypot(*(ground.autopilot.position_m - ground.autopilot.home_m)[:2]) < 250.0
+
+
+def test_arduplane_has_no_mode_that_lands() -> None:
+    ground = Ground("ardupilot", "plane")
+    assert ground.command(mavlink.MAV_CMD_NAV_LAND) == mavlink.MAV_RESULT_UNSUPPORTED
+
+
+def test_uploading_the_same_mission_in_flight_disturbs_nothing() -> None:
+    disturbed, calm = flying("ardupilot"), flying("ardupilot")
+    disturbed.upload(mission("ardupilot"))
+    disturbed.run(10.0)
+    calm.run(10.0)
+    assert disturbed.autopilot.position_m == pytest.approx(calm.autopilot.position_m, abs=1e-9)
