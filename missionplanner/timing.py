@@ -48,11 +48,10 @@ def predict_flight(
     navigator = Navigator([model], home[None])
     parts, reached_s = _outbound(navigator, model, home, waypoints, speed_m_s)
     if end != "loiter":
-        here = navigator.position_m[0].copy()
         way = (
-            landing_points(model, here, ground_amsl_m, speed_m_s)
+            landing_points(model, waypoints[-1], ground_amsl_m, speed_m_s)
             if end == "land"
-            else return_points(model, here, home, speed_m_s)
+            else return_points(model, navigator.position_m[0], home, speed_m_s)
         )
         parts.append(navigator.fly(way)[0])
     t_s = [np.zeros(1)] if start_delay_s > 0.0 else []

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -171,27 +173,45 @@ def predict(
     return navigator.fly(Route.through(points_m, speed_m_s, hold_s, vertical_m_s))
 
 
-@njit(cache=True, error_model="numpy")
-def _run(floats: FloatArray, integers: IntArray, routes: FloatArray, ticks: int, dt: float, flown_m: FloatArray) -> int:
-    """Advance all vehicles by up to ``ticks`` steps; those that never had a route stand still.
+def _sources() -> int:
+    """Return a number that changes with any source file of this package."""
+    number = 0
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        number = zlib.crc32(path.read_bytes(), number)
+    return number
 
-    With room in ``flown_m`` (T, 3), write the first vehicle's positions there and stop once it is done. Returns the
-    number of steps. This is the only kernel that Python calls: every other one would cost its compilation again.
-    """
-    for tick in range(1, ticks + 1):
-        for i in range(len(floats)):
-            k = integers[i]
-            if k[COUNT] == 0:
-                continue
-            if k[NAVIGATOR] == ARDUCOPTER:
-                arducopter.step(floats[i], k, routes[i], dt)
-            elif k[NAVIGATOR] == PX4:
-                px4.step(floats[i], k, routes[i], dt)
-            else:
-                plane.step(floats[i], k, routes[i], dt)
-        if len(flown_m) > 0:
-            for axis in range(3):
-                flown_m[tick, axis] = floats[0, POSITION + axis]
-            if integers[0, PHASE] == IDLE:
-                return tick
-    return ticks
+
+def _compile(sources: int) -> Callable[[FloatArray, IntArray, FloatArray, int, float, FloatArray], int]:
+    """Return the kernel; numba's cache knows this file and ``sources``, but no other file that it is made of."""
+
+    @njit(cache=True, error_model="numpy")
+    def run(
+        floats: FloatArray, integers: IntArray, routes: FloatArray, ticks: int, dt: float, flown_m: FloatArray
+    ) -> int:
+        """Advance all vehicles by up to ``ticks`` steps; those that never had a route stand still.
+
+        With room in ``flown_m`` (T, 3), write the first vehicle's positions there and stop once it is done. Returns
+        the number of steps. This is the only kernel that Python calls: each further one would be compiled as a whole.
+        """
+        for tick in range(1, ticks + 1):
+            for i in range(len(floats)):
+                k = integers[i]
+                if k[COUNT] == 0:
+                    continue
+                if k[NAVIGATOR] == ARDUCOPTER:
+                    arducopter.step(floats[i], k, routes[i], dt)
+                elif k[NAVIGATOR] == PX4:
+                    px4.step(floats[i], k, routes[i], dt)
+                else:
+                    plane.step(floats[i], k, routes[i], dt)
+            if len(flown_m) > 0:
+                for axis in range(3):
+                    flown_m[tick, axis] = floats[0, POSITION + axis]
+                if integers[0, PHASE] == IDLE:
+                    return tick
+        return ticks if sources >= 0 else 0
+
+    return run
+
+
+_run = _compile(_sources())

@@ -1,4 +1,4 @@
-"""ArduPlane in AUTO: constant airspeed, L1 guidance along the legs, waypoints accepted on the way.
+"""ArduPlane in AUTO: constant indicated airspeed, L1 guidance along the legs, waypoints accepted on the way.
 
 Before a corner the waypoint is accepted at WP_RADIUS (or the L1 distance) times the turn over 90 degrees; in a straight
 line it is flown over. Sources: https://ardupilot.org/plane/docs/navigation-tuning.html, S. Park, J. Deyst, J. P. How,
@@ -47,6 +47,12 @@ _HEIGHT_TIME_S = 2.0  # how fast a height error is flown out
 
 
 @kernel
+def true_airspeed(alt_amsl_m: float) -> float:
+    """Return true over indicated airspeed (the one that is commanded) in the standard atmosphere; 1 at sea level."""
+    return max(1.0 - 2.25577e-5 * alt_amsl_m, 0.1) ** -2.128
+
+
+@kernel
 def step(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -> None:
     """Advance by ``dt``; halted or done, it circles to the right."""
     if k[PHASE] == STARTING:
@@ -83,7 +89,8 @@ def step(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -> None:
         s[THRUST] = max(-widest, min(widest, turn))
         if speed >= 1.0:
             course += s[THRUST] / speed * h
-        speed += max(-s[ACCELERATION] * h, min(s[ACCELERATION] * h, route[w, SPEED] - speed))
+        wanted = route[w, SPEED] * true_airspeed(s[POSITION + 2])
+        speed += max(-s[ACCELERATION] * h, min(s[ACCELERATION] * h, wanted - speed))
         s[VELOCITY] = speed * math.cos(course)
         s[VELOCITY + 1] = speed * math.sin(course)
 

@@ -48,6 +48,7 @@ _STEP_S = 0.025
 _CORNER_GAIN = 0.5  # MPC_XY_TRAJ_P: share of the acceleration that corners are planned with
 _ALTITUDE_RADIUS_M = 0.8  # NAV_MC_ALT_RAD
 _LAG_MAX_M = 2.0  # MPC_XY_ERR_MAX
+_CRAWL_M_S = 0.5
 
 
 @kernel
@@ -171,17 +172,20 @@ def _velocity_wanted(s: FloatArray, k: IntArray, route: FloatArray, wanted: Floa
     else:
         s[TURN_SPEED] = speed_xy
     norm = math.sqrt(dx * dx + dy * dy + dz * dz)
-    scale = 0.0
-    if norm > 1e-9:
-        scale = math.hypot(speed_xy, speed_z) / norm
-        level_m = math.hypot(dx, dy)
-        if level_m * scale > speed_xy:
-            scale = speed_xy / level_m
-        if abs(dz) * scale > speed_z:
-            scale = speed_z / abs(dz)
-    wanted[0] = dx * scale
-    wanted[1] = dy * scale
-    wanted[2] = dz * scale
+    scale = math.hypot(speed_xy, speed_z) / norm if norm > 1e-9 else 0.0
+    wanted[0], wanted[1], wanted[2] = dx * scale, dy * scale, dz * scale
+    level_m_s = math.hypot(wanted[0], wanted[1])
+    if level_m_s > speed_xy:  # along the leg, except for the last crawl, where one axis must not stop the others
+        wanted[0] *= speed_xy / level_m_s
+        wanted[1] *= speed_xy / level_m_s
+        if level_m_s >= _CRAWL_M_S or speed_xy >= _CRAWL_M_S:
+            wanted[2] *= speed_xy / level_m_s
+    rate_m_s = abs(wanted[2])
+    if rate_m_s > speed_z:
+        wanted[2] *= speed_z / rate_m_s
+        if rate_m_s >= _CRAWL_M_S or speed_z >= _CRAWL_M_S:
+            wanted[0] *= speed_z / rate_m_s
+            wanted[1] *= speed_z / rate_m_s
 
 
 @kernel

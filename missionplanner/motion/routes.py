@@ -79,7 +79,7 @@ def landing_points(model: MotionModel, from_m: npt.ArrayLike, ground_amsl_m: flo
     )
     legs = [(height, rate) for height, rate in slow if ground_amsl_m + height < start[2] or height == 0.0]
     points = np.array([[start[0], start[1], ground_amsl_m + height] for height, _ in legs])
-    # ArduCopter slows down nearly to a stop before its slow descent; its ramps here are as long as its wait on the ground
+    # ArduCopter slows down nearly to a stop before its slow descent; these ramps are as long as its wait on the ground
     hold_s = np.full(len(legs), 0.05 if model.autopilot == "ardupilot" else 0.0)
     hold_s[-1] = 0.0 if model.autopilot == "ardupilot" else _PX4_DISARM_S
     return Route.through(points, model.descent_rate_m_s, hold_s, [rate for _, rate in legs])

@@ -19,7 +19,6 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 _OPTIONS: dict[str, Any] = {
-    "cache": True,
     "error_model": "numpy",  # divisions by zero are guarded where they can occur
     "no_cpython_wrapper": True,  # only the outermost kernel is called from Python
     "no_cfunc_wrapper": True,
@@ -28,7 +27,7 @@ _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
 def kernel(function: _Function) -> _Function:
-    """Compile a function that only other kernels call."""
+    """Compile a function that only other kernels call; what is compiled is kept with the outermost one."""
     compiled: _Function = njit(**_OPTIONS)(function)
     return compiled
 
@@ -67,9 +66,9 @@ _GRAVITY_M_S2 = 9.80665
 def initial(model: MotionModel, position_m: npt.ArrayLike) -> tuple[FloatArray, IntArray]:
     """Return the rows of a vehicle at rest.
 
-    Gains and accelerations are the autopilots' defaults (ArduCopter 4.5: PSC_*, WPNAV_ACCEL_Z, ANGLE_MAX, ATC_INPUT_TC;
-    PX4 1.15: MPC_*). Drag is that of the simulated airframes the autopilots ship: it fixes how long the integrator takes
-    to lean the vehicle into a new speed, and how fast it can fly at all.
+    Gains and accelerations are the autopilots' defaults (ArduCopter 4.5: PSC_*, WPNAV_*, ANGLE_MAX, ATC_INPUT_TC;
+    PX4 1.15: MPC_*). Drag is that of the airframes the autopilots simulate: it fixes how long the integrator takes to
+    lean the vehicle into a new speed, and how fast it can fly at all.
     """
     row = np.zeros(FLOATS)
     number = np.zeros(INTEGERS, dtype=np.int64)

@@ -40,12 +40,12 @@ def test_copters_keep_their_limits(model: MotionModel, points: np.ndarray, speed
     if len(acceleration):
         assert np.hypot(acceleration[:, 0], acceleration[:, 1]).max() <= 5.0  # twice WPNAV_ACCEL
     assert np.all(np.diff(reached_s) >= 0.0)
-    assert reached_s[-1] <= flight.t_s[-1] <= reached_s[-1] + 2 * TICK_S
+    assert -1e-9 <= flight.t_s[-1] - reached_s[-1] <= 2 * TICK_S
     assert np.linalg.norm(flight.position_m[-1] - points[-1]) <= model.waypoint_radius_m + 0.8
     for _ in range(300):
         navigator.step()
-    assert np.linalg.norm(navigator.position_m[0] - points[-1]) <= 0.7
-    if model is COPTER:
+    assert np.linalg.norm(navigator.position_m[0] - points[-1]) <= 1.0
+    if model is COPTER:  # PX4's integrator takes longer to forget
         assert np.linalg.norm(navigator.position_m[0] - points[-1]) <= 0.05
 
 
@@ -63,7 +63,8 @@ def test_planes_keep_speed_and_turn_radius(points: np.ndarray, speed_m_s: float)
     flight, _ = predict(PLANE, [0, 0, 0], points, speed_m_s)
     velocity = np.diff(flight.position_m, axis=0) / TICK_S
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
-    assert speed.max() <= speed_m_s * (1 + 1e-9)
+    thin_air = (1 - 2.25577e-5 * max(flight.position_m[:, 2].max(), 0.0)) ** -2.128
+    assert speed.max() <= speed_m_s * thin_air * (1 + 1e-9)
     assert np.abs(velocity[:, 2]).max() <= 5.0 + 1e-9
     flying = speed[:-1] > 5.0
     turn = np.diff(np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0])))[flying] / TICK_S

@@ -1,0 +1,146 @@
+"""Arrival windows, common arrival, speeds for it, separation in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from missionplanner.errors import InfeasibleError
+from missionplanner.plan import Trajectory
+from missionplanner.timing import (
+    ARRIVAL_TOLERANCE_S,
+    arrival_after,
+    arrival_window,
+    common_arrival,
+    least_separation,
+    predict_flight,
+    speed_for_arrival,
+)
+from missionplanner.vehicle import MotionModel
+
+COPTER = MotionModel("ardupilot", "copter", 2.5, 1.0, 2.5, 1.5, 2.0, 0.0)
+PX4 = MotionModel("px4", "copter", 3.0, 4.0, 3.0, 1.5, 2.0, 0.0)
+PLANE = MotionModel("ardupilot", "plane", 1.5, 1.0, 5.0, 5.0, 50.0, 60.0)
+HOME = [0.0, 0.0, 100.0]
+WAYPOINTS = np.array([[0, 0, 130], [150, 20, 140], [250, 120, 150], [240, 300, 140], [400, 420, 135]], dtype=float)
+
+
+@pytest.mark.parametrize("model", [COPTER, PX4], ids=["arducopter", "px4"])
+def test_a_flight_begins_at_home_and_ends_on_the_ground(model: MotionModel) -> None:
+    flight, reached_s = predict_flight(model, HOME, WAYPOINTS, 8.0, end="land", ground_amsl_m=95.0)
+    assert flight.position_m[0] == pytest.approx(HOME)
+    assert flight.position_m[-1] == pytest.approx([400, 420, 95], abs=1.0)
+    assert len(reached_s) == len(WAYPOINTS)
+    assert np.all(np.diff(reached_s) > 0.0)
+    assert np.all(np.diff(flight.t_s) > 0.0)
+    assert flight.t_s[-1] > reached_s[-1] + 20.0
+    near = [np.linalg.norm(flight.at(t) - w) for t, w in zip(reached_s, WAYPOINTS, strict=True)]
+    assert max(near) < 3.0
+
+
+@pytest.mark.parametrize("end", ["loiter", "land", "rtl"])
+def test_the_delay_shifts_everything(end: str) -> None:
+    arguments = {"end": end, "ground_amsl_m": 100.0}
+    now, now_s = predict_flight(COPTER, HOME, WAYPOINTS, 6.0, **arguments)  # type: ignore[arg-type]
+    later, later_s = predict_flight(COPTER, HOME, WAYPOINTS, 6.0, start_delay_s=7.3, **arguments)  # type: ignore[arg-type]
+    assert later_s == pytest.approx(now_s + 7.3)
+    assert later.t_s[0] == 0.0
+    assert later.at(7.3) == pytest.approx(HOME)
+    assert later.at(now.t_s[::50] + 7.3) == pytest.approx(now.position_m[::50], abs=1e-6)
+
+
+def test_return_ends_at_home() -> None:
+    flight, _ = predict_flight(COPTER, HOME, WAYPOINTS, 6.0, end="rtl")
+    assert flight.position_m[-1] == pytest.approx(HOME, abs=0.2)
+
+
+def test_a_plane_flies_its_legs() -> None:
+    far = WAYPOINTS * [5, 5, 1] + [400, 0, 0]
+    flight, reached_s = predict_flight(PLANE, HOME, far, 18.0)
+    assert np.all(np.diff(reached_s) > 0.0)
+    assert flight.t_s[-1] == pytest.approx(reached_s[-1], abs=0.1)
+
+
+def test_the_window_is_what_the_model_flies() -> None:
+    fastest_s, slowest_s = arrival_window(COPTER, HOME, WAYPOINTS, 3.0, 10.0)
+    assert fastest_s == arrival_after(COPTER, HOME, WAYPOINTS, 10.0)
+    assert slowest_s == arrival_after(COPTER, HOME, WAYPOINTS, 3.0)
+    length_m = np.linalg.norm(np.diff(WAYPOINTS, axis=0), axis=1).sum()
+    assert fastest_s > length_m / 10.0 + 20.0  # take-off, hover, corners
+
+
+def test_short_legs_shrink_the_window() -> None:
+    line = np.array([[10.0 * k, 0.0, 130.0] for k in range(21)])
+    fastest_s, slowest_s = arrival_window(COPTER, HOME, line, 2.0, 10.0)
+    assert slowest_s / fastest_s < 1.6  # length over speed would say 5
+    assert arrival_window(COPTER, HOME, line, 5.0, 10.0) == pytest.approx((fastest_s, fastest_s), abs=0.2)
+
+
+@pytest.mark.parametrize("model", [COPTER, PX4], ids=["arducopter", "px4"])
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.55, 0.9, 1.0])
+def test_the_solved_speed_arrives_on_time(model: MotionModel, share: float) -> None:
+    fastest_s, slowest_s = arrival_window(model, HOME, WAYPOINTS, 3.0, 10.0)
+    wanted_s = fastest_s + share * (slowest_s - fastest_s)
+    speed = speed_for_arrival(model, HOME, WAYPOINTS, wanted_s, 3.0, 10.0)
+    assert 3.0 <= speed <= 10.0
+    assert round(speed, 4) == speed
+    assert arrival_after(model, HOME, WAYPOINTS, speed) == pytest.approx(wanted_s, abs=ARRIVAL_TOLERANCE_S)
+
+
+def test_a_speed_outside_the_window_is_the_nearest_end() -> None:
+    assert speed_for_arrival(COPTER, HOME, WAYPOINTS, 1.0, 3.0, 10.0) == 10.0
+    assert speed_for_arrival(COPTER, HOME, WAYPOINTS, 1e4, 3.0, 10.0) == 3.0
+    assert speed_for_arrival(COPTER, HOME, WAYPOINTS, 100.0, 6.0, 6.0) == 6.0
+
+
+def test_common_arrival_is_the_earliest_for_all() -> None:
+    windows = {"a": (100.0, 200.0), "b": (120.0, 150.0), "c": (90.0, 300.0)}
+    assert common_arrival(windows) == 120.0
+    assert common_arrival(windows, {"c": 60.0}) == 150.0
+    assert common_arrival(windows, requested_s=150.0) == 150.0
+
+
+def test_windows_that_do_not_meet_name_both_and_the_way_out() -> None:
+    with pytest.raises(InfeasibleError, match=r"late needs at least 160\.0 s .*early cannot take longer than 150\.0 s"):
+        common_arrival({"late": (140.0, 400.0), "early": (90.0, 150.0)}, {"late": 20.0})
+    with pytest.raises(InfeasibleError, match=r"start early 10\.0 s later"):
+        common_arrival({"late": (160.0, 400.0), "early": (90.0, 150.0)})
+
+
+@pytest.mark.parametrize(
+    ("wanted_s", "what"), [(99.0, "too early: b needs at least 120"), (151.0, "too late: b takes")]
+)
+def test_a_requested_time_outside_says_which(wanted_s: float, what: str) -> None:
+    with pytest.raises(InfeasibleError, match=what):
+        common_arrival({"a": (100.0, 200.0), "b": (120.0, 150.0)}, requested_s=wanted_s)
+
+
+def straight(start: list[float], velocity: list[float], begin_s: float, end_s: float) -> Trajectory:
+    t = np.array([begin_s, end_s])
+    return Trajectory(t, np.array(start) + np.outer(t - begin_s, velocity))
+
+
+def test_crossing_flights_in_closed_form() -> None:
+    east = straight([-50, 0, 100], [5, 0, 0], 0.0, 20.0)
+    north = straight([0, -40, 103], [0, 5, 0], 0.0, 20.0)
+    (pair,) = least_separation([east, north])
+    # relative motion (5, -5): closest when 5 (t - 10) = 5 (8 - t), at t = 9, 5 m away in each of x and y
+    assert pair.t_s == pytest.approx(9.0)
+    assert pair.distance_m == pytest.approx(np.sqrt(25 + 25 + 9))
+    assert np.linalg.norm(pair.first_m - pair.second_m) == pytest.approx(pair.distance_m)
+
+
+def test_vehicles_wait_before_and_after() -> None:
+    early = straight([0, 0, 0], [1, 0, 0], 0.0, 10.0)
+    late = straight([10, 5, 0], [0, -1, 0], 30.0, 40.0)  # passes the other's end at 35 s
+    (pair,) = least_separation([early, late])
+    assert pair.distance_m == pytest.approx(0.0, abs=1e-9)
+    assert pair.t_s == pytest.approx(35.0)
+
+
+def test_every_pair_once() -> None:
+    fleet = [straight([0, 30.0 * k, 0], [1, 0, 0], 0.0, 5.0 + k) for k in range(4)]
+    pairs = least_separation(fleet)
+    assert [(p.first, p.second) for p in pairs] == [(0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3)]
+    assert [round(p.distance_m) for p in pairs] == [30, 60, 90, 30, 60, 30]
+    assert least_separation(fleet[:1]) == []
