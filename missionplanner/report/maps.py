@@ -29,6 +29,7 @@ _SCALE_BOTTOM_IN = 0.26
 _ROW_IN = 0.185
 _SITE_SHARE = 0.2
 _EDGE_IN = 0.05
+_OBSTACLES_WIDEN, _FENCE_WIDENS = 1.5, 1.8  # at most, the map
 _CONTOUR_LABELS_APART_PX = 260.0
 _NAMED_VEHICLES = 14
 _KINDS = {
@@ -107,13 +108,13 @@ def map_box(facts: Facts, shapes: Sequence[Shape], least_ratio: tuple[float, flo
         places.append(facts.scene.towers.top_m[:, :2])
     everything = np.concatenate(places)
     low, high = everything.min(axis=0), everything.max(axis=0)
-    limit = 1.3 * _shown_size(high - low, least_ratio)
-    extras = [s.outline_m for s in shapes]
+    shown = _shown_size(high - low, least_ratio)
+    extras = [(s.outline_m, _OBSTACLES_WIDEN) for s in shapes]
     if len(facts.scene.space.fence):
-        extras.append(facts.scene.space.fence)
-    for extra in extras:
+        extras.append((facts.scene.space.fence, _FENCE_WIDENS))
+    for extra, widen in extras:
         wider_low, wider_high = np.minimum(low, extra.min(axis=0)), np.maximum(high, extra.max(axis=0))
-        if np.all(wider_high - wider_low <= limit):
+        if np.all(wider_high - wider_low <= widen * shown):
             low, high = wider_low, wider_high
     size = _shown_size(high - low, least_ratio)
     west, south = (low + high - size) / 2
@@ -131,6 +132,18 @@ def overlaps(outline_m: FloatArray, box: Box) -> bool:
     """Return whether an outline's bounding box and a box share a place."""
     low, high = outline_m.min(axis=0), outline_m.max(axis=0)
     return bool(low[0] < box[2] and high[0] > box[0] and low[1] < box[3] and high[1] > box[1])
+
+
+def within(line_m: FloatArray, box: Box) -> FloatArray:
+    """Return those points of a line (N, 2 or 3) that lie in a box."""
+    x, y = line_m[:, 0], line_m[:, 1]
+    return line_m[(x > box[0]) & (x < box[2]) & (y > box[1]) & (y < box[3])]
+
+
+def fence_sides(facts: Facts) -> list[FloatArray]:
+    """Return the fence's sides, each as many points (N, 2)."""
+    fence = facts.scene.space.fence
+    return [np.linspace(a, b, 240) for a, b in zip(fence, np.roll(fence, -1, axis=0), strict=True)]
 
 
 def _map_axes(figure: Figure, box: Box, left_in: float, width_in: float, height_in: float) -> Axes:
@@ -257,7 +270,7 @@ def _draw_vehicle(axes: Axes, v: VehicleFacts) -> None:
     if v.flown:
         track = v.flown.record.trajectory.position_m
         track = track[:: max(1, len(track) // 3000)]
-        axes.plot(track[:, 0], track[:, 1], color=style.INK, linewidth=0.6, zorder=9)
+        axes.plot(track[:, 0], track[:, 1], color=style.INK, linewidth=0.5, zorder=9)
     axes.plot(home[0], home[1], zorder=10, **_ring("s", 6.0, colour, 1.8))
     axes.plot(
         waypoints[-1, 0], waypoints[-1, 1], marker="o", markersize=7.5, color=colour, markeredgecolor="white",
@@ -368,7 +381,7 @@ def _side_panel(figure: Figure, facts: Facts, shapes: Sequence[Shape], ground: G
     top = whole[1] - 0.14
     _north_arrow(axes, width_in - 0.16, top)
     y = top - 0.02
-    for title, rows in _legend(facts, shapes, ground):
+    for title, rows in _legend(facts, shapes, ground, box):
         axes.text(0.0, y, title, fontsize=8, fontweight="bold", va="center")
         y -= _ROW_IN * 1.1
         for row in rows:
@@ -391,7 +404,7 @@ def _north_arrow(axes: Axes, x: float, top: float) -> None:
     axes.text(x, top - 0.30, "N", fontsize=8, fontweight="bold", ha="center", va="center")
 
 
-def _legend(facts: Facts, shapes: Sequence[Shape], ground: Ground) -> list[tuple[str, list[_Row]]]:
+def _legend(facts: Facts, shapes: Sequence[Shape], ground: Ground, box: Box) -> list[tuple[str, list[_Row]]]:
     shown = facts.vehicles[:_NAMED_VEHICLES]
     vehicles = [
         _Row(
@@ -412,7 +425,7 @@ def _legend(facts: Facts, shapes: Sequence[Shape], ground: Ground) -> list[tuple
         marks.append(_Row("flown track", {"color": style.INK, "linewidth": 0.9}))
     kinds = {_kind(shape) for shape in shapes}
     things = [_key(kind) for kind in _KINDS if kind in kinds]
-    if len(facts.scene.space.fence):
+    if any(len(within(side, box)) for side in fence_sides(facts)):
         things.append(_Row("fence", _FENCE))
     if ground.relief_m > 2.0:
         interval = contour_interval_m(ground.relief_m)

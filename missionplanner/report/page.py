@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -95,15 +95,16 @@ def write_report(folder: Path, scene: Scene, plan: FleetPlan, flight: FleetFligh
         The folder cannot be written to.
     """
     facts = collect(scene, plan, flight)
-    pictures = tuple(_pictures(facts))
-    for picture in pictures:
+    pictures = []
+    for picture in _pictures(facts):
         write_atomic(folder / PICTURES_NAME / f"{picture.name}.png", picture.png)
+        pictures.append(picture)
     path = folder / REPORT_NAME
     write_atomic(path, _html(facts, pictures))
     return path
 
 
-def _html(facts: Facts, pictures: tuple[_Picture, ...]) -> str:
+def _html(facts: Facts, pictures: Sequence[_Picture]) -> str:
     here = resources.files(__package__)
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     template = environment.from_string(here.joinpath("report.html").read_text(encoding="utf-8"))

@@ -24,7 +24,7 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.report import style
 from missionplanner.report.facts import Facts, VehicleFacts
 from missionplanner.report.labels import Labels
-from missionplanner.report.maps import map_box, overlaps
+from missionplanner.report.maps import fence_sides, map_box, overlaps, within
 from missionplanner.report.relief import Box, Ground, relief_colours, sample_ground
 from missionplanner.report.shapes import Shape, facets
 
@@ -107,7 +107,7 @@ def space_view(facts: Facts, shapes: Sequence[Shape]) -> Figure:
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
     labels = Labels(axes)
-    _draw_fence(axes, facts, block, ground)
+    _draw_fence(axes, facts, block)
     _draw_shapes(axes, facts, block, shapes)
     for v in facts.vehicles:
         _draw_vehicle(axes, facts, block, v)
@@ -193,15 +193,10 @@ def _block_edges(right_corner: FloatArray, away_corner: FloatArray, right: Float
     return near, far
 
 
-def _draw_fence(axes: Axes, facts: Facts, block: _Block, ground: Ground) -> None:
+def _draw_fence(axes: Axes, facts: Facts, block: _Block) -> None:
     """Draw the fence's foot along the ground, where it runs through the block."""
-    fence = facts.scene.space.fence
-    for begin, end in zip(fence, np.roll(fence, -1, axis=0), strict=True):
-        line = np.linspace(begin, end, 240)
-        line = line[
-            (line[:, 0] > ground.x_m[0]) & (line[:, 0] < ground.x_m[-1])
-            & (line[:, 1] > ground.y_m[0]) & (line[:, 1] < ground.y_m[-1])
-        ]  # fmt: skip
+    for side in fence_sides(facts):
+        line = within(side, block.box)
         if len(line) > 1:
             foot = np.column_stack([line, facts.scene.terrain.height_amsl_m(line[:, 0], line[:, 1])])
             _draw_line(axes, block, foot, style.FENCE, 1.2, zorder=3, hidden=False)
@@ -215,16 +210,19 @@ def _draw_shapes(axes: Axes, facts: Facts, block: _Block, shapes: Sequence[Shape
             continue
         colour = style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL)
         if shape.kind in ("cable", "conductor"):
-            _draw_line(axes, block, _subdivide(shape.axis_m), colour, 1.3 if shape.kind == "cable" else 0.8, zorder=5)
+            line = within(np.linspace(shape.axis_m[0], shape.axis_m[1], 100), block.box)
+            if len(line) > 1:
+                _draw_line(axes, block, line, colour, 1.3 if shape.kind == "cable" else 0.8, zorder=5)
             continue
         centre = shape.centre_m
-        ground = float(facts.scene.terrain.height_amsl_m(centre[:1], centre[1:])[0])
-        if shape.kind == "tower":
-            stem = np.array([[*centre, ground], [*centre, shape.high_m]])
-            _draw_line(axes, block, stem, colour, 1.4, zorder=5)
+        heights = facts.scene.terrain.height_amsl_m(shape.outline_m[:, 0], shape.outline_m[:, 1])
+        ground = float(heights.min())
+        slim_m = 5e-3 * (block.right_m[-1] - block.right_m[0])
+        if shape.kind == "tower" or (shape.kind == "cylinder" and shape.radius_m < slim_m):
+            stem = np.array([[*centre, ground], [*centre, min(shape.high_m, cap)]])
+            _draw_line(axes, block, stem, colour, 1.4 if shape.kind == "tower" else 2.4, zorder=5)
             continue
-        found = facets(shape, ground if math.isfinite(ground) else block.camera.base_m, cap)
-        for facet in found:
+        for facet in facets(shape, ground if math.isfinite(ground) else block.camera.base_m, cap):
             polygons += _shaded(facts, block, facet, colour, 0.34 if shape.hard else 0.15)
     polygons.sort(key=lambda entry: -entry[0])
     if polygons:
@@ -244,13 +242,17 @@ def _cap_m(facts: Facts, base_m: float) -> float:
 def _shaded(
     facts: Facts, block: _Block, facets_m: FloatArray, colour: str, alpha: float
 ) -> list[tuple[float, FloatArray, tuple[float, ...]]]:
-    """Return those of facets (F, N, 3) that are seen: depth, outline on the screen and colour of each."""
+    """Return depth, outline on the screen and colour of those facets (F, N, 3) that are seen; cut at the ground."""
+    ground = facts.scene.terrain.height_amsl_m(facets_m[..., 0], facets_m[..., 1])
+    buried = facets_m[..., 2] < ground
+    standing = ~buried.all(axis=1)
+    z = np.where(buried, ground, facets_m[..., 2])
+    facets_m = np.concatenate([facets_m[..., :2], z[..., None]], axis=-1)[standing]
     screen = block.camera.project(facets_m)
     turned = np.roll(screen, -1, axis=1)
     towards = (screen[..., 0] * turned[..., 1] - turned[..., 0] * screen[..., 1]).sum(axis=1) > 0.0
     middle = facets_m.mean(axis=1)
-    ground = facts.scene.terrain.height_amsl_m(middle[:, 0], middle[:, 1])
-    seen = towards & block.visible(middle) & ~(middle[:, 2] < ground)
+    seen = towards & block.visible(middle)
     normal = np.cross(facets_m[:, 1] - facets_m[:, 0], facets_m[:, 2] - facets_m[:, 0])
     light = 0.78 + 0.3 * (normal @ _LIGHT) / np.maximum(np.linalg.norm(normal, axis=1), 1e-9)
     shades = np.clip(np.array(to_rgb(colour)) * light[:, None] + 0.08, 0.0, 1.0)
@@ -308,10 +310,6 @@ def _runs(line: FloatArray, keep: npt.NDArray[np.bool_]) -> Iterable[FloatArray]
     edges = np.flatnonzero(np.diff(np.concatenate([[False], keep, [False]]).astype(int)))
     for begin, end in zip(edges[::2], edges[1::2], strict=True):
         yield line[begin : end + 1]
-
-
-def _subdivide(line_m: FloatArray, pieces: int = 24) -> FloatArray:
-    return np.linspace(line_m[0], line_m[-1], pieces + 1)
 
 
 def _label(labels: Labels, axes: Axes, facts: Facts, block: _Block, shapes: Sequence[Shape]) -> None:

@@ -1,0 +1,386 @@
+from __future__ import annotations
+
+import base64
+import io
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from missionplanner import planner, proof
+from missionplanner.errors import MissionError
+from missionplanner.geodesy import FloatArray
+from missionplanner.mission import Mission
+from missionplanner.path_search import PlannedPath
+from missionplanner.plan import FleetFlight, FleetPlan, FlownVehicle, Trajectory
+from missionplanner.report import charts, maps, page, style, view, write_report
+from missionplanner.report.facts import along_m, along_path_m, collect, distances
+from missionplanner.report.labels import Labels
+from missionplanner.report.relief import Ground, contour_interval_m, relief_colours
+from missionplanner.report.shapes import Shape, facets, shapes, vertical_range
+from missionplanner.scene import Scene, build_scene
+
+
+def at(x: float, y: float, agl: float | None = None) -> dict[str, float]:
+    return {"x_m": x, "y_m": y} if agl is None else {"x_m": x, "y_m": y, "height_agl_m": agl}
+
+
+MAST = {"kind": "cylinder", "name": "mast", "center": at(300, 60), "radius_m": 8, "top_height_agl_m": 70}
+CABLE = {"kind": "cable", "name": "ropeway", "start": at(150, -150, 30), "end": at(420, 330, 30), "radius_m": 1}
+OBSTACLES: list[dict[str, Any]] = [
+    MAST,
+    {"kind": "cone", "name": "needle", "center": at(250, 260), "base_radius_m": 50, "height_m": 160},
+    {"kind": "radar", "name": "radar", "center": at(480, -140, 5), "radius_m": 90},
+    {"kind": "radar", "name": "soft", "center": at(60, 280, 5), "radius_m": 60, "hard": False},
+    {"kind": "marine", "name": "storm", "center": at(90, -160, 0), "radius_m": 50},
+    {
+        "kind": "no_fly", "name": "camp", "polygon": [at(380, 200), at(460, 190), at(420, 230), at(455, 290)],
+        "top_height_agl_m": 60,
+    },
+    CABLE,
+]  # fmt: skip
+
+
+def question(vehicles: int = 2, **changes: Any) -> dict[str, Any]:
+    return {
+        "name": "hills",
+        "origin": {"lat_deg": 46.5, "lon_deg": 8.0},
+        "terrain": {
+            "kind": "peaks", "base_alt_amsl_m": 400,
+            "peaks": [
+                {**at(200, 150), "height_m": 120, "spread_m": 150},
+                {**at(450, 0), "height_m": 90, "spread_m": 120},
+            ],
+        },
+        "obstacles": OBSTACLES,
+        "fence": {"polygon": [at(-150, -300), at(750, -300), at(750, 450), at(-150, 450)]},
+        "inspection": {
+            "towers": [{"name": f"T{i}", **at(120 + 70 * i, 20 + 15 * i), "height_m": 20} for i in range(5)],
+            "conductor_radius_m": 4,
+        },
+        "vehicles": [
+            {"name": f"uav{i}", "home": at(-40, 40 * i - 20), "goal": at(600, 40 * i - 20, 60)} for i in range(vehicles)
+        ],
+        **changes,
+    }  # fmt: skip
+
+
+def scene_of(data: dict[str, Any]) -> Scene:
+    return build_scene(Mission.model_validate(data), Path())
+
+
+def plan_of(scene: Scene, above_m: float = 250.0) -> FleetPlan:
+    """Return a plan whose every vehicle flies an arch, ``above_m`` higher in its middle than straight ahead."""
+    paths = []
+    for task in scene.tasks:
+        share = np.linspace(0.0, 1.0, 61)
+        path = task.route_m[0] + share[:, None] * (task.route_m[-1] - task.route_m[0])
+        path[:, 2] += above_m * np.sin(np.pi * share)
+        length_m = float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+        history = 3.0 * np.exp(-np.arange(40) / 8.0) + 1.0
+        paths.append(PlannedPath(path, path[::10], length_m, float(history[-1]), {"voyage": 1.0}, history, 2000))
+    schedules, arrival_s = planner.schedule(scene, paths, [0.0] * len(paths))
+    return proof.checked(scene, planner.assemble(scene, paths, schedules, arrival_s, seed=7))
+
+
+def flight_of(plan: FleetPlan, aside_m: float = 0.0) -> FleetFlight:
+    """Return a flight as predicted, but for ``aside_m`` to the north half-way."""
+    flown = []
+    for vehicle in plan.vehicles:
+        t_s = np.arange(0.0, float(vehicle.trajectory.t_s[-1]), 0.2)
+        position = vehicle.trajectory.at(t_s)
+        position[:, 1] += aside_m * np.exp(-(((t_s - vehicle.arrival_s / 2) / 8.0) ** 2))
+        track = Trajectory(t_s, position)
+        flown.append(FlownVehicle(vehicle.name, vehicle.sysid, track, vehicle.arrival_s + 0.1, float(t_s[-1])))
+    return FleetFlight(tuple(flown))
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return scene_of(question(description="<b>Bold</b> & careful"))
+
+
+@pytest.fixture(scope="module")
+def plan(scene: Scene) -> FleetPlan:
+    return plan_of(scene)
+
+
+@pytest.fixture(scope="module")
+def report(scene: Scene, plan: FleetPlan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_report(tmp_path_factory.mktemp("report"), scene, plan, flight_of(plan))
+
+
+# --- the page ------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_needs_no_other_file(report: Path) -> None:
+    html = report.read_text(encoding="utf-8")
+    links = re.findall(r'(?:src|href)="([^"]{0,40})', html)
+    assert links
+    assert all(link.startswith("data:image/png;base64,") for link in links)
+    assert "http" not in re.sub(r"base64,[^\"]*", "", html)
+
+
+def test_every_picture_is_embedded_and_saved_beside_the_page(report: Path) -> None:
+    html = report.read_text(encoding="utf-8")
+    embedded = {base64.b64decode(data) for data in re.findall(r"base64,([^\"]*)", html)}
+    saved = {path.read_bytes() for path in (report.parent / "pictures").glob("*.png")}
+    assert embedded == saved
+    names = {path.stem for path in (report.parent / "pictures").glob("*.png")}
+    assert names >= {"map", "view", "profile-uav0", "profile-uav1", "separation", "arrival", "cost"}
+    for png in saved:
+        assert np.asarray(imread(io.BytesIO(png))).std() > 0.01  # something is drawn
+
+
+def test_what_a_user_wrote_is_shown_as_text(report: Path) -> None:
+    html = report.read_text(encoding="utf-8")
+    assert "&lt;b&gt;Bold&lt;/b&gt; &amp; careful" in html
+    assert "<b>" not in html
+
+
+def test_the_page_says_where_the_plan_comes_from(report: Path, plan: FleetPlan) -> None:
+    html = report.read_text(encoding="utf-8")
+    assert plan.input_sha256 in html
+    assert f"missionplanner {plan.software_version}" in html
+    assert re.search(r"seed</th><td>7<", html)
+
+
+def test_a_flight_as_predicted_is_all_clear(report: Path) -> None:
+    html = report.read_text(encoding="utf-8")
+    assert "All clear: plan and flight keep every required distance." in html
+    assert 'class="verdict clear"' in html
+
+
+def test_same_plan_same_bytes(scene: Scene, plan: FleetPlan, report: Path, tmp_path: Path) -> None:
+    again = write_report(tmp_path, scene, plan, flight_of(plan))
+    assert again.read_bytes() == report.read_bytes()
+
+
+def test_settings_of_matplotlib_are_left_alone(scene: Scene, plan: FleetPlan) -> None:
+    before = dict(matplotlib.rcParams)
+    with matplotlib.rc_context({"font.size": 30.0, "lines.linewidth": 9.0}):
+        unruly = map_of(scene, plan)
+        assert matplotlib.rcParams["font.size"] == 30.0
+    assert dict(matplotlib.rcParams) == before
+    assert np.array_equal(unruly, map_of(scene, plan))
+
+
+def test_a_plan_alone_has_no_flown_columns(scene: Scene, plan: FleetPlan, tmp_path: Path) -> None:
+    html = write_report(tmp_path, scene, plan).read_text(encoding="utf-8")
+    assert "All clear: plan keeps every required distance." in html
+    assert "flown arrival" not in html
+
+
+def test_a_plan_through_the_mast_is_not_clear_and_says_why(tmp_path: Path) -> None:
+    scene = scene_of(question(vehicles=1, obstacles=[{**MAST, "center": at(300, -20)}], inspection=None))
+    html = write_report(tmp_path, scene, plan_of(scene, above_m=0.0)).read_text(encoding="utf-8")
+    assert 'class="verdict unclear"' in html
+    assert re.search(r"<li>uav0: mast clearance is -", html)
+    assert not (tmp_path / "pictures" / "separation.png").exists()  # nobody to keep apart from
+
+
+def test_a_folder_that_cannot_be_made_is_an_error_in_one_line(scene: Scene, plan: FleetPlan, tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(MissionError, match="taken"):
+        write_report(tmp_path / "taken", scene, plan)
+
+
+def test_of_a_large_fleet_the_tightest_profiles_are_drawn(
+    scene: Scene, plan: FleetPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(page, "_PROFILES_DRAWN", 1)
+    tight = replace(plan.vehicles[1].clearances[0], distance_m=1.0)
+    vehicles = (plan.vehicles[0], replace(plan.vehicles[1], clearances=(tight,)))
+    facts = collect(scene, replace(plan, vehicles=vehicles), None)
+    with style.look():
+        (drawn,) = page._profiles(facts, shapes(scene))
+    assert drawn.name == "profile-uav1"
+    assert drawn.caption == "Of 2 vehicles, the 1 with the least to spare are drawn."
+
+
+# --- facts ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_flight_off_its_way_is_remarked(scene: Scene, plan: FleetPlan) -> None:
+    facts = collect(scene, plan, flight_of(plan, aside_m=15.0))
+    for vehicle in facts.vehicles:
+        assert vehicle.flown is not None
+        assert vehicle.flown.deviation_m == pytest.approx(15.0, abs=0.3)
+    assert len(facts.remarks) == 2
+    assert facts.troubles == ()
+
+
+def test_a_vehicle_that_never_arrives_is_trouble(scene: Scene, plan: FleetPlan) -> None:
+    flight = flight_of(plan)
+    lost = replace(flight.vehicles[1], arrival_s=None, landed_s=None)
+    facts = collect(scene, plan, FleetFlight((flight.vehicles[0], lost)))
+    assert facts.troubles == ("uav1 never arrived at its goal",)
+
+
+def test_vehicles_that_meet_in_flight_are_trouble(scene: Scene, plan: FleetPlan) -> None:
+    flight = flight_of(plan)
+    track = flight.vehicles[0].trajectory
+    beside = Trajectory(track.t_s, track.position_m + np.array([0.0, 5.0, 0.0]))
+    facts = collect(scene, plan, FleetFlight((flight.vehicles[0], replace(flight.vehicles[1], trajectory=beside))))
+    assert any("5.0 m from each other" in trouble for trouble in facts.troubles)
+
+
+def test_places_are_found_in_order_on_a_path_that_crosses_itself() -> None:
+    turn = np.linspace(0.0, 2.0 * np.pi, 400)
+    eight = np.stack([200 * np.sin(turn), 100 * np.sin(2 * turn), np.full(turn.shape, 50.0)], axis=-1)
+    run = along_m(eight)
+    found = along_path_m(eight, eight + np.array([0.3, -0.2, 0.4]))
+    assert np.all(np.diff(found) >= 0.0)
+    assert np.allclose(found, run, atol=2.0)
+
+
+def test_distances_per_pair_and_to_the_nearest_of_many() -> None:
+    t_s = np.array([0.0, 10.0])
+    tracks = [Trajectory(t_s, np.array([[0.0, 30.0 * i, 0.0], [10.0, 30.0 * i * i, 0.0]])) for i in range(5)]
+    few = distances(tracks[:3], [4.321])
+    assert few.pairs == ((0, 1), (0, 2), (1, 2))
+    assert 4.321 in few.t_s
+    assert few.distance_m[1, 0] == pytest.approx(60.0)
+    assert few.distance_m[1, -1] == pytest.approx(120.0)
+    many = distances(tracks)
+    assert many.pairs is None
+    assert many.distance_m[4, -1] == pytest.approx(30.0 * (16 - 9))
+    assert many.distance_m[0, -1] == pytest.approx(30.0)
+
+
+# --- shapes --------------------------------------------------------------------------------------------------------
+
+
+def shape_named(scene: Scene, name: str) -> tuple[Shape, int]:
+    index = scene.obstacles.names.index(name)
+    return shapes(scene)[index], index
+
+
+@pytest.mark.parametrize("name", [o["name"] for o in OBSTACLES])
+def test_the_section_of_an_obstacle_is_where_its_distance_is_negative(scene: Scene, name: str) -> None:
+    shape, index = shape_named(scene, name)
+    reach = np.ptp(shape.outline_m, axis=0).max() / 2 + 5.0
+    xy = shape.centre_m + np.random.default_rng(1).uniform(-reach, reach, (400, 2))
+    low, high = vertical_range(shape, xy)
+    top = np.where(np.isfinite(high), high, 900.0)
+    bottom = np.where(np.isfinite(low), low, -50.0)
+    taken = ~np.isnan(high)
+    assert taken.any()
+    slack = 0.3  # a cable's section is a parallelogram's, not a capsule's, at its ends
+
+    def distance(z: FloatArray) -> FloatArray:
+        return scene.obstacles.distance_m(np.column_stack([xy, z]))[:, index]
+
+    assert (distance((top + bottom) / 2)[taken] <= slack).all()
+    assert (distance(top + 1.0)[taken & np.isfinite(high)] >= 0.0 - slack).all()
+    anywhere = np.where(taken, 0.0, distance(np.random.default_rng(2).uniform(300, 700, 400)))
+    assert (anywhere >= 0.0).all()
+
+
+@pytest.mark.parametrize("name", ["mast", "needle", "radar", "storm", "camp"])
+def test_facets_lie_on_the_surface_and_look_outward(scene: Scene, name: str) -> None:
+    shape, index = shape_named(scene, name)
+    for stack in facets(shape, ground_amsl_m=-1e3, cap_amsl_m=5e3):
+        away = scene.obstacles.distance_m(stack)[..., index]
+        assert np.abs(away).max() < 0.03 * shape.radius_m + 1e-6
+        if stack.shape[1] == 4:
+            normal = np.cross(stack[:, 2] - stack[:, 0], stack[:, 3] - stack[:, 1])
+            size = np.linalg.norm(normal, axis=1)
+            whole = size > 1e-6
+            out = stack.mean(axis=1)[whole] + 0.5 * normal[whole] / size[whole, None]
+            inward = stack.mean(axis=1)[whole] - 0.5 * normal[whole] / size[whole, None]
+            assert np.all(
+                scene.obstacles.distance_m(out)[:, index] > scene.obstacles.distance_m(inward)[:, index] - 1e-9
+            )
+
+
+def test_towers_and_conductors_are_told_from_declared_obstacles(scene: Scene) -> None:
+    kinds = [shape.kind for shape in shapes(scene)]
+    assert kinds.count("tower") == 5
+    assert kinds.count("conductor") == 4
+    assert kinds.count("cable") == 1
+    assert kinds.count("cylinder") == 1
+
+
+# --- pictures ------------------------------------------------------------------------------------------------------
+
+
+def map_of(scene: Scene, plan: FleetPlan) -> FloatArray:
+    with style.look():
+        figure = maps.fleet_map(collect(scene, plan, None), shapes(scene))
+        return np.asarray(imread(io.BytesIO(style.to_png(figure))), dtype=float)[..., :3]
+
+
+def test_a_thin_cable_is_seen_on_the_map(scene: Scene, plan: FleetPlan) -> None:
+    with style.look():
+        figure = maps.fleet_map(collect(scene, plan, None), shapes(scene))
+        picture = np.asarray(imread(io.BytesIO(style.to_png(figure))), dtype=float)[..., :3]
+        cable = np.array([150.0, -150.0]) + np.linspace(0.12, 0.95, 200)[:, None] * np.array([270.0, 480.0])
+        along = figure.axes[0].transData.transform(cable)
+    column, row = along[:, 0].round().astype(int), picture.shape[0] - 1 - along[:, 1].round().astype(int)
+    dark = picture[row, column].max(axis=-1) < 0.35
+    assert dark.mean() > 0.85  # hidden only where paths and towers lie over it
+
+
+def test_names_cover_neither_each_other_nor_a_path() -> None:
+    with style.look():
+        figure = style.new_figure(4.0, 6.0)
+        axes = figure.add_axes((0, 0, 1, 1))
+        axes.set_xlim(0, 100)
+        axes.set_ylim(0, 70)
+        labels = Labels(axes)
+        line = np.column_stack([np.linspace(0, 100, 50), 35 + 20 * np.sin(np.linspace(0, 6, 50))])
+        labels.avoid_line(line)
+        rng = np.random.default_rng(3)
+        placed = [labels.place(f"tower-{i}", rng.uniform([5, 5], [95, 65]), size=7) for i in range(60)]
+        assert sum(placed) > 20
+        figure.canvas.draw()
+        boxes = [text.get_window_extent().extents for text in axes.texts]
+        on_line = axes.transData.transform(line)
+    assert len(boxes) == sum(placed)
+    for i, a in enumerate(boxes):
+        assert not ((on_line > a[:2]) & (on_line < a[2:])).all(axis=1).any()
+        for b in boxes[i + 1 :]:
+            assert min(a[2], b[2]) <= max(a[0], b[0]) or min(a[3], b[3]) <= max(a[1], b[1])
+
+
+def test_the_ground_hides_what_is_behind_a_ridge() -> None:
+    ridge = {"kind": "peaks", "peaks": [{**at(300, 100), "height_m": 300, "spread_m": 80}]}
+    scene = scene_of(question(terrain=ridge, obstacles=[], fence=None, inspection=None))
+    facts = collect(scene, plan_of(scene, above_m=400.0), None)
+    block, _ = view._draw_block(facts, ())
+    sin, cos = block.camera.sin_cos
+    behind = np.array([300.0 + 200 * sin, 100.0 + 200 * cos, 10.0])
+    in_front = np.array([300.0 - 200 * sin, 100.0 - 200 * cos, 10.0])
+    above = behind + np.array([0.0, 0.0, 600.0])
+    assert block.visible(np.array([behind, in_front, above])).tolist() == [False, True, True]
+
+
+def test_slopes_towards_the_sun_are_brighter_and_voids_are_plain() -> None:
+    x = np.linspace(0.0, 1000.0, 50)
+    height = 300.0 * np.exp(-(((x[None, :] - 500) ** 2 + (x[:, None] - 500) ** 2) / 300.0**2))
+    height[0, :5] = np.nan
+    colours = relief_colours(Ground(x, x, height), sea=False)
+    north_west, south_east = colours[32, 17].mean(), colours[17, 32].mean()
+    assert north_west > south_east + 0.1
+    assert np.ptp(colours[0, :5], axis=0).max() == 0.0
+
+
+@pytest.mark.parametrize(("relief_m", "interval_m"), [(0.0, 0.0), (11.0, 1.0), (130.0, 20.0), (1900.0, 200.0)])
+def test_contours_are_round_and_about_a_dozen(relief_m: float, interval_m: float) -> None:
+    assert contour_interval_m(relief_m) == interval_m
+
+
+def test_only_a_fleet_that_arrives_together_has_a_common_time(scene: Scene, plan: FleetPlan) -> None:
+    apart = scene_of(question(fleet={"arrive_together": False}))
+    with style.look():
+        together, alone = (
+            charts.arrival_windows(collect(s, p, None)) for s, p in ((scene, plan), (apart, plan_of(apart)))
+        )
+    assert "common arrival" in together.texts[0].get_text()
+    assert "common arrival" not in alone.texts[0].get_text()
