@@ -35,6 +35,7 @@ _ROUNDS = 30
 _SPARES_M = (0.05, 1.0)  # kept above ground beyond the margin, for what lies between samples
 _HALVINGS = 9
 _LEAST = 0.5**8
+_OVER_PULL = 1.5  # beyond the chord: over-relaxed, many points find their line in few rounds
 _SLIDE_ON, _SLIDE_BACK, _PULL_UPRIGHT, _PULL_LEVEL, _CUT = range(5)
 _CUT_ROUNDS = 3
 _GREED = 1.2  # A* weighs what is to go this much: what it loses, drawing taut makes good
@@ -315,7 +316,7 @@ def _distance(p: FloatArray, i: int, j: int) -> float:
 @njit(**_INNER)
 def _corner(p: FloatArray, b: int, step: int, f: float, out: FloatArray) -> None:
     """Write where a step of :func:`_taut`, done to the share ``f``, puts the corner ``p[b]``: two rows after a cut."""
-    ab, bc = _distance(p, b - 1, b), _distance(p, b, b + 1)
+    ab, bc = max(_distance(p, b - 1, b), 1e-9), max(_distance(p, b, b + 1), 1e-9)
     cut_m = f * min(ab, bc)
     for k in range(3):
         to_a, to_c = p[b - 1, k] - p[b, k], p[b + 1, k] - p[b, k]
@@ -328,7 +329,7 @@ def _corner(p: FloatArray, b: int, step: int, f: float, out: FloatArray) -> None
             out[0, k] += to_a * cut_m / ab
             out[1, k] = p[b, k] + to_c * cut_m / bc
         elif (step == _PULL_LEVEL) == (k < 2):
-            out[0, k] += f * (to_a * bc + to_c * ab) / (ab + bc)
+            out[0, k] += f * _OVER_PULL * (to_a * bc + to_c * ab) / (ab + bc)
 
 
 @njit(**_INNER)
@@ -720,9 +721,7 @@ def _walls_at(problem: _Problem, path: FloatArray) -> list[FloatArray]:
     walls: list[FloatArray] = []
 
     def close(at: FloatArray, along: FloatArray, away: FloatArray, depth_m: float) -> None:
-        along = _unit(along)
-        away = _unit(away - along * (away @ along))
-        walls.append(np.concatenate([at, along, away, [depth_m, reach_m]]))
+        walls.append(np.concatenate([at, _unit(along), away, [depth_m, reach_m]]))
 
     hard = np.flatnonzero(o.hard)
     distance = kernels.obstacle_distances(o, samples)[:, hard]
@@ -733,7 +732,14 @@ def _walls_at(problem: _Problem, path: FloatArray) -> list[FloatArray]:
     away = np.empty((len(passed), 3))
     _away(o, hard[passed], samples[nearest[passed]], away)
     for n, direction in zip(passed, away, strict=True):
-        close(samples[nearest[n]], course[nearest[n]], direction, 0.9 * least[n])
+        # The wall holds the solid's axis, or a path could pass it over there before the obstacle and be out of it here.
+        axis = np.array([0.0, 0.0, 1.0])
+        if o.kind[hard[n]] == kernels.CABLE:
+            axis = _unit(o.params[hard[n], 3:6] - o.params[hard[n], :3])
+        along = np.cross(axis, direction)
+        if abs(along @ _unit(course[nearest[n]])) < 0.1:
+            along = course[nearest[n]]
+        close(samples[nearest[n]], along, direction, 0.9 * least[n])
 
     before, after = path[1:-1] - path[:-2], path[2:] - path[1:-1]
     turns = [_unit(b) - _unit(a) for a, b in zip(before, after, strict=True)]
@@ -799,8 +805,13 @@ def first_guesses(
     """Return up to ``count`` taut polylines (K, 3) from start to goal on different ways around, shortest first.
 
     Where the straight leg is clear, it is the only one: there is nothing to go around.
-    Each keeps the vehicle's margins and angles, judged by the same kernels as everything else. ``clearance_extra_m``
-    is kept on top as far as start and goal themselves do. ``names`` of the obstacles are for the error message.
+
+    Parameters
+    ----------
+    start_m, goal_m : (3,) the ends, themselves clear by the vehicle's margins.
+    count : how many ways are wanted; what there is to find may be fewer.
+    clearance_extra_m : kept on top of the margins, as far as both ends do and a way exists.
+    names : of the obstacles, for the error message.
 
     Raises
     ------
@@ -818,6 +829,8 @@ def first_guesses(
         first = _find(problem, _NO_WALLS, (level,))
         if first is not None:
             return [way.path for way in _ways(problem, first, level, count)]
+    if clearance_extra_m > 0.0:
+        return first_guesses(space, limits, start, goal, count=count, names=names)
     raise InfeasibleError(_what_blocks(problem, names))
 
 
@@ -827,6 +840,22 @@ def _ways(problem: _Problem, first: FloatArray, level: _Level, count: int) -> li
     if count == 1 and found[0].length_m < _SHORT_ENOUGH * problem.least_m:
         return found
     longest_m = _LONGEST * found[0].length_m
+
+    def look(walls: FloatArray, level: _Level) -> _Way | None:
+        path = _find(problem, walls, (level,), longest_m)
+        if path is None:
+            return None
+        way = _way(problem, path, walls)
+        for n, known in enumerate(found):
+            if not _differ(problem, way, known):
+                found[n] = min(known, way, key=lambda w: w.length_m)
+                return None
+        found.append(way)
+        return way
+
+    # A grid measures lengths 2 to 3 % wrong and may take the wrong way for the shortest; others err otherwise.
+    for other in (_Level(3 * level.cells // 4, level.reach), _Level(3 * level.cells // 2, level.reach)):
+        look(_NO_WALLS, other)
     unopened = found.copy()
     searches = count + 2
     while unopened and searches > 0 and len(found) < max(count, 2):
@@ -834,14 +863,9 @@ def _ways(problem: _Problem, first: FloatArray, level: _Level, count: int) -> li
         unopened.remove(way)
         for wall in _walls_at(problem, way.path)[:searches]:
             searches -= 1
-            walls = np.concatenate([way.walls, wall[None]])
-            path = _find(problem, walls, (level,), longest_m)
-            if path is None:
-                continue
-            other = _way(problem, path, walls)
-            if all(_differ(problem, other, known) for known in found):
-                found.append(other)
-                unopened.append(other)
+            another = look(np.concatenate([way.walls, wall[None]]), level)
+            if another is not None:
+                unopened.append(another)
     return sorted(found, key=lambda w: w.length_m)[:count]
 
 
