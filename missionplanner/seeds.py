@@ -270,31 +270,36 @@ def _expand(
         _place(grid, ends, u, v, w, leg, 0)
         for k in range(3):
             leg[1, k] = ends[1, k]
-        near = nodes.cost[node] + _length(leg)
-        if (
-            near < best_cost
-            and abs(leg[1, 0] - leg[0, 0]) + abs(leg[1, 1] - leg[0, 1]) < 4.0 * grid.cell_m
-            and _leg_ok(space, rules, walls, leg, False)
-        ):
-            best_cost = near
-            last = node
-        for m in range(moves.shape[0]):
-            u1 = u + moves[m, 0]
-            v1 = v + moves[m, 1]
-            w1 = w + moves[m, 2]
-            if u1 < 0 or u1 >= grid.u_count or v1 < 0 or v1 >= nv or w1 < 0 or w1 >= nw:
+        across = abs(leg[1, 0] - leg[0, 0]) + abs(leg[1, 1] - leg[0, 1])
+        near = across < 4.0 * grid.cell_m and nodes.cost[node] + _length(leg) < best_cost
+        for m in range(-1 if near else 0, moves.shape[0]):  # -1: straight to the goal
+            total = nodes.cost[node]
+            ahead = -1
+            open_air = False
+            if m < 0:
+                total += _length(leg)
+            else:
+                u1 = u + moves[m, 0]
+                v1 = v + moves[m, 1]
+                w1 = w + moves[m, 2]
+                if u1 < 0 or u1 >= grid.u_count or v1 < 0 or v1 >= nv or w1 < 0 or w1 >= nw:
+                    continue
+                ahead = (u1 * nv + v1) * nw + w1
+                total += lengths[m]
+                if nodes.closed[ahead] or total >= nodes.cost[ahead]:
+                    continue
+                _place(grid, ends, u1, v1, w1, leg, 1)
+                if math.isnan(nodes.radius[ahead]):
+                    nodes.radius[ahead] = _node_radius(space, rules, nodes.floor, u1 * nv + v1, leg, reach_m)
+                radius = nodes.radius[ahead]
+                if radius < 0.0 or queued == nodes.queue_cost.shape[0]:
+                    continue
+                open_air = max(radius, nodes.radius[node]) >= lengths[m]
+            if not _leg_ok(space, rules, walls, leg, open_air):
                 continue
-            ahead = (u1 * nv + v1) * nw + w1
-            total = nodes.cost[node] + lengths[m]
-            if nodes.closed[ahead] or total >= nodes.cost[ahead]:
-                continue
-            _place(grid, ends, u1, v1, w1, leg, 1)
-            if math.isnan(nodes.radius[ahead]):
-                nodes.radius[ahead] = _node_radius(space, rules, nodes.floor, u1 * nv + v1, leg, reach_m)
-            radius = nodes.radius[ahead]
-            if radius < 0.0 or queued == nodes.queue_cost.shape[0]:
-                continue
-            if not _leg_ok(space, rules, walls, leg, max(radius, nodes.radius[node]) >= lengths[m]):
+            if ahead < 0:
+                best_cost = total
+                last = node
                 continue
             nodes.cost[ahead] = total
             nodes.parent[ahead] = node
