@@ -285,17 +285,18 @@ def _draw_distances(axes: Axes, panel: _Panel) -> None:
         )  # fmt: skip
         if first != second:
             axes.plot(lines.t_s, distance, color=style.vehicle_colour(second), linewidth=1.3, dashes=(4, 4), zorder=3.1)
+    on_left = least is None or least.t_s is None or least.t_s < 0.5 * axes.get_xlim()[1]
     if required_m > 0:
         axes.axhspan(1e-3, required_m, color=style.BAD, alpha=0.09, linewidth=0, zorder=0)
         axes.axhline(required_m, color=style.BAD, linewidth=0.9, zorder=2)
         axes.annotate(
-            f"required {required_m:g} m", xy=(1, required_m), xycoords=("axes fraction", "data"), xytext=(-3, -3),
-            textcoords="offset points", color=style.BAD, fontsize=7.5, ha="right", va="top",
+            f"required {required_m:g} m", xy=(1 if on_left else 0, required_m), xycoords=("axes fraction", "data"),
+            xytext=(-4 if on_left else 4, -3), textcoords="offset points", color=style.BAD, fontsize=7.5,
+            ha="right" if on_left else "left", va="top",
         )  # fmt: skip
     if least is not None and least.t_s is not None:
         colour = style.INK if least.ok else style.BAD
         axes.plot(least.t_s, least.distance_m, "o", color=colour, markersize=5, markeredgecolor="white", zorder=6)
-        on_left = least.t_s < 0.6 * float(lines.t_s[-1])
         axes.annotate(
             f"least {least.distance_m:.1f} m", xy=(least.t_s, least.distance_m), zorder=7,
             xytext=(6 if on_left else -6, -11), textcoords="offset points", fontsize=7.5, fontweight="bold",

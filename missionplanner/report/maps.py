@@ -19,7 +19,15 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.report import style
 from missionplanner.report.facts import Facts, VehicleFacts
 from missionplanner.report.labels import Labels
-from missionplanner.report.relief import Box, Ground, contour_interval_m, relief_colours, sample_ground
+from missionplanner.report.relief import (
+    HAIR,
+    Box,
+    Ground,
+    contour_interval_m,
+    contour_levels_m,
+    relief_colours,
+    sample_ground,
+)
 from missionplanner.report.shapes import Shape
 
 _MAP_WIDTH_IN = 7.3
@@ -173,14 +181,12 @@ def _draw_ground(axes: Axes, facts: Facts, box: Box, columns: int) -> Ground:
     colours = relief_colours(ground, sea=sea)
     extent = (box[0], box[2], box[1], box[3])
     axes.imshow(colours, extent=extent, origin="lower", interpolation="bilinear", aspect="auto", zorder=0)
-    interval = contour_interval_m(ground.relief_m)
-    if ground.relief_m > 2.0:
-        low, high = np.nanmin(ground.height_amsl_m), np.nanmax(ground.height_amsl_m)
-        levels = np.arange(math.ceil(low / interval), math.floor(high / interval) + 1) * interval
-        thick = np.where(np.isclose(levels / interval % 5, 0), 0.8, 0.4)
+    levels = contour_levels_m(ground)
+    if levels.size:
+        nth = np.round(levels / contour_interval_m(ground.relief_m))
         axes.contour(
-            ground.x_m, ground.y_m, ground.height_amsl_m, levels=levels, colors="#7c6a50", linewidths=thick,
-            alpha=0.55, zorder=1,
+            ground.x_m, ground.y_m, ground.height_amsl_m, levels=levels, colors="#7c6a50", alpha=0.55, zorder=1,
+            linewidths=np.where(nth % 5 == 0, 0.8, 0.4),
         )  # fmt: skip
     return ground
 
@@ -320,10 +326,10 @@ def _label_towers(labels: Labels, facts: Facts) -> None:
 
 def _label_contours(axes: Axes, labels: Labels, ground: Ground) -> None:
     """Write altitudes on the thick contours, where nothing else is."""
-    interval = 5 * contour_interval_m(ground.relief_m)
-    if ground.relief_m <= 2.0 or interval <= 0.0:
+    interval = contour_interval_m(ground.relief_m)
+    if not contour_levels_m(ground).size:
         return
-    z = ground.height_amsl_m
+    z, interval = ground.height_amsl_m - HAIR * interval, 5 * interval
     written: dict[float, list[FloatArray]] = {}
     for row in np.linspace(0.12, 0.88, 6) * (len(ground.y_m) - 1):
         heights = z[int(row)]
@@ -427,7 +433,7 @@ def _legend(facts: Facts, shapes: Sequence[Shape], ground: Ground, box: Box) -> 
     things = [_key(kind) for kind in _KINDS if kind in kinds]
     if any(len(within(side, box)) for side in fence_sides(facts)):
         things.append(_Row("fence", _FENCE))
-    if ground.relief_m > 2.0:
+    if contour_levels_m(ground).size:
         interval = contour_interval_m(ground.relief_m)
         things.append(_Row(f"contours every {interval:g} m", {"color": "#7c6a50", "linewidth": 0.8}))
     return [("Planned paths", vehicles), ("Marks", marks), ("Obstacles and ground", things)]

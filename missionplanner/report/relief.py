@@ -18,6 +18,8 @@ _TINT = LinearSegmentedColormap.from_list("tint", ["#e3ebdf", "#eef0e2", "#f6f0e
 _SEA = np.array([0.83, 0.90, 0.94])
 _VOID = np.array([0.90, 0.91, 0.92])
 _FLAT_M = 2.0
+HAIR = 2e-3
+"""By how much of their interval contours lie above their altitude."""
 _SEA_LEVEL_M = 2.0
 _SUN = np.array([-1.0, 1.0, 1.35]) / math.sqrt(1.0 + 1.0 + 1.35**2)
 
@@ -71,6 +73,16 @@ def contour_interval_m(relief_m: float) -> float:
     rough = relief_m / 12.0
     decade = 10.0 ** math.floor(math.log10(rough))
     return next(step * decade for step in (1.0, 2.0, 5.0, 10.0) if rough <= step * decade)
+
+
+def contour_levels_m(ground: Ground) -> FloatArray:
+    """Return the altitudes of the contours: round, but for a hair, so that a plain at a round altitude has none."""
+    interval = contour_interval_m(ground.relief_m)
+    if ground.relief_m <= _FLAT_M:
+        return np.empty(0)
+    low, high = float(np.nanmin(ground.height_amsl_m)), float(np.nanmax(ground.height_amsl_m))
+    nth = np.arange(math.ceil(low / interval), math.floor(high / interval) + 1, dtype=np.float64)
+    return np.asarray((nth + HAIR) * interval)
 
 
 def _shade(height: FloatArray, ground: Ground) -> npt.NDArray[np.float64]:

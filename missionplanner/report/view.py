@@ -246,11 +246,12 @@ def _shaded(
     ground = facts.scene.terrain.height_amsl_m(facets_m[..., 0], facets_m[..., 1])
     buried = facets_m[..., 2] < ground
     standing = ~buried.all(axis=1)
-    z = np.where(buried, ground, facets_m[..., 2])
-    facets_m = np.concatenate([facets_m[..., :2], z[..., None]], axis=-1)[standing]
+    facets_m, z = facets_m[standing], np.where(buried, ground, facets_m[..., 2])[standing]
+    outline = block.camera.project(facets_m)
+    turned = np.roll(outline, -1, axis=1)
+    towards = (outline[..., 0] * turned[..., 1] - turned[..., 0] * outline[..., 1]).sum(axis=1) > 0.0
+    facets_m = np.concatenate([facets_m[..., :2], z[..., None]], axis=-1)
     screen = block.camera.project(facets_m)
-    turned = np.roll(screen, -1, axis=1)
-    towards = (screen[..., 0] * turned[..., 1] - turned[..., 0] * screen[..., 1]).sum(axis=1) > 0.0
     middle = facets_m.mean(axis=1)
     seen = towards & block.visible(middle)
     normal = np.cross(facets_m[:, 1] - facets_m[:, 0], facets_m[:, 2] - facets_m[:, 0])
@@ -292,7 +293,7 @@ def _draw_line(
 ) -> None:  # fmt: skip
     """Draw a line in space: full where it is seen, faint (or not at all) where the ground hides it."""
     screen, seen = block.camera.project(line_m), block.visible(line_m)
-    both = seen[:-1] & seen[1:]
+    both = seen[:-1] | seen[1:]
     shown = list(_runs(screen, both))
     if casing:
         axes.add_collection(

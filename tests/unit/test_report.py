@@ -21,7 +21,7 @@ from missionplanner.plan import FleetFlight, FleetPlan, FlownVehicle, Trajectory
 from missionplanner.report import charts, maps, page, style, view, write_report
 from missionplanner.report.facts import along_m, along_path_m, collect, distances
 from missionplanner.report.labels import Labels
-from missionplanner.report.relief import Ground, contour_interval_m, relief_colours
+from missionplanner.report.relief import Ground, contour_interval_m, contour_levels_m, relief_colours
 from missionplanner.report.shapes import Shape, facets, shapes, vertical_range
 from missionplanner.scene import Scene, build_scene
 
@@ -374,6 +374,17 @@ def test_slopes_towards_the_sun_are_brighter_and_voids_are_plain() -> None:
 @pytest.mark.parametrize(("relief_m", "interval_m"), [(0.0, 0.0), (11.0, 1.0), (130.0, 20.0), (1900.0, 200.0)])
 def test_contours_are_round_and_about_a_dozen(relief_m: float, interval_m: float) -> None:
     assert contour_interval_m(relief_m) == interval_m
+
+
+def test_a_plain_at_a_round_altitude_has_no_contours() -> None:
+    x = np.linspace(0.0, 1000.0, 60)
+    noise = np.random.default_rng(5).normal(0.0, 1e-4, (60, 60))
+    hill = 120.0 * np.exp(-(((x[None, :] - 500) ** 2 + (x[:, None] - 500) ** 2) / 100.0**2))
+    ground = Ground(x, x, 400.0 + noise + hill)
+    levels = contour_levels_m(ground)
+    crossed = np.abs(np.diff(ground.height_amsl_m[:, :10] > levels[:, None, None], axis=1))
+    assert 5 < levels.size < 15
+    assert not crossed.any()
 
 
 def test_only_a_fleet_that_arrives_together_has_a_common_time(scene: Scene, plan: FleetPlan) -> None:
