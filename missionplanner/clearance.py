@@ -40,10 +40,8 @@ class Margins:
         )
 
 
-def legs_clear(
-    space: SpaceArrays, margins: Margins, legs: FloatArray, step_m: float = STEP_M
-) -> npt.NDArray[np.bool_]:
-    """Return which straight legs (N, 2, 3) keep the margins: exactly for obstacles and fence, by samples for terrain."""
+def legs_clear(space: SpaceArrays, margins: Margins, legs: FloatArray, step_m: float = STEP_M) -> npt.NDArray[np.bool_]:
+    """Return which legs (N, 2, 3) keep the margins: exactly for obstacles and fence, by samples for terrain."""
     return kernels.legs_are_clear(
         space,
         np.ascontiguousarray(legs),

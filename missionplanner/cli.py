@@ -10,16 +10,21 @@ import json
 import logging
 import math
 import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
+import click
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from missionplanner.errors import InfeasibleError, MissionError, MissionPlannerError
 
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
+    from adapters.fleet_link import Clock, FleetLink, VehicleStatus
     from missionplanner.plan import FleetFlight, FleetPlan
     from missionplanner.proof import FlightCheck
     from missionplanner.scene import Scene
@@ -32,6 +37,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+FILES, LOGS = "files", "logs"
 _stdout = Console()
 _stderr = Console(stderr=True)
 
@@ -150,6 +156,152 @@ def _home(text: str) -> tuple[float, float, float]:
 
 
 @app.command()
+def upload(
+    target: Target, connect: ConnectUrls, output: Output = None, seed: Seed = None, as_json: AsJson = False
+) -> None:
+    """Upload a plan that is safe, read it back and compare; nothing is armed."""
+    scene, fleet_plan, folder = _safe_plan(target, output, seed)
+    with _ground_station(scene, fleet_plan, folder, connect, None) as link:
+        _transfer(link)
+    if as_json:
+        missions = [{"sysid": sysid, "items": len(items), "verified": True} for sysid, items in link.items.items()]
+        _print_json({"mission": fleet_plan.mission.name, "folder": str(folder), "vehicles": missions})
+    else:
+        for vehicle in fleet_plan.vehicles:
+            _stdout.print(f"{vehicle.name} (sysid {vehicle.sysid}): {len(link.items[vehicle.sysid])} items, verified")
+
+
+@app.command()
+def fly(
+    target: Target,
+    connect: Annotated[
+        str | None, typer.Option(metavar="URL[,URL...]", help="links to the vehicles; default: built-in simulated ones")
+    ] = None,
+    speedup: Annotated[
+        float | None,
+        typer.Option(min=0.01, help="simulated vehicles only: times real time; default: as fast as possible"),
+    ] = None,
+    output: Output = None,
+    seed: Seed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Plan if need be, upload, verify, start together, fly, and report."""
+    from missionplanner.plan_folder import save_flight
+    from missionplanner.proof import check_flight
+    from missionplanner.report import write_report
+
+    if connect is not None and speedup is not None:
+        raise MissionError("--speedup: expected only with built-in simulated vehicles, not with --connect")
+    scene, fleet_plan, folder = _safe_plan(target, output, seed)
+    with _ground_station(scene, fleet_plan, folder, connect, speedup) as link:
+        _transfer(link)
+        flight = _start_and_watch(link, fleet_plan, simulated=connect is None)
+    save_flight(folder, flight)
+    check = check_flight(scene, fleet_plan, flight)
+    with _stderr.status("writing the report"):
+        report_path = write_report(folder, scene, fleet_plan, flight)
+    _show(fleet_plan, folder, as_json, flight, check, report_path)
+    if not check.ok:
+        raise InfeasibleError(f"{folder}: the flight did not keep every clearance: see {report_path}")
+
+
+def _safe_plan(target: Path, output: Path | None, seed: int | None) -> tuple[Scene, FleetPlan, Path]:
+    """Return scene, plan and folder of a plan folder, or of a mission file, which is planned first."""
+    if target.is_dir():
+        if output is not None or seed is not None:
+            raise MissionError(f"{target}: is a plan already: --output and --seed go with a mission file")
+        return *_load_safe(target), target
+    scene = _scene(target)
+    folder = output or _default_folder(scene)
+    return scene, _plan(scene, folder, seed), folder
+
+
+@contextmanager
+def _ground_station(
+    scene: Scene, fleet_plan: FleetPlan, folder: Path, connect: str | None, speedup: float | None
+) -> Iterator[FleetLink]:
+    """Connect to the fleet's vehicles, or to simulated ones that stand where the plan wants them; log what is said."""
+    from adapters.endpoint import open_endpoint
+    from adapters.fleet_link import FleetLink, WallClock
+    from adapters.telemetry_log import FleetLog
+    from sim.fleet import LockstepClock, SimFleet, connect_fleet, planned_vehicles
+
+    def ground(x_m: float, y_m: float) -> float:
+        return scene.terrain.ground_amsl_m(x_m, y_m, "a simulated vehicle's landing place")
+
+    with ExitStack() as stack:
+        clock: Clock
+        if connect is not None:
+            urls = [url.strip() for url in connect.split(",") if url.strip()]
+            endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in urls]
+            clock = WallClock(endpoints)
+        else:
+            endpoints = [stack.enter_context(closing(open_endpoint("udpin:127.0.0.1:0")))]
+            fleet = SimFleet(planned_vehicles(fleet_plan), frame=scene.frame, ground=ground, seed=fleet_plan.seed)
+            stack.callback(fleet.close)
+            connect_fleet(fleet, endpoints[0].url.replace("udpin", "udpout"))
+            clock = LockstepClock(fleet, speedup)
+        names = {vehicle.sysid: vehicle.name for vehicle in fleet_plan.vehicles}
+        log = stack.enter_context(FleetLog(folder / LOGS, names, time.time() - clock.now_s()))
+        link = FleetLink(fleet_plan, endpoints, clock, log=log)
+        with _stderr.status("looking for the vehicles"):
+            link.connect()
+        yield link
+
+
+def _transfer(link: FleetLink) -> None:
+    """Upload all missions and read them back."""
+    with _progress() as progress:
+        link.upload(_transfer_bars(progress, "uploading"))
+        link.verify(_transfer_bars(progress, "verifying"))
+
+
+def _transfer_bars(progress: Progress, what: str) -> Callable[[str, int, int], None]:
+    bars: dict[str, TaskID] = {}
+
+    def show(name: str, done: int, total: int) -> None:
+        if name not in bars:
+            bars[name] = progress.add_task(f"{what} {name}", total=total)
+        progress.update(bars[name], completed=done)
+
+    return show
+
+
+def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool) -> FleetFlight:
+    """Start all together and watch until all have ended; an interrupt asks what the vehicles shall do."""
+    with _stderr.status("waiting until all can be armed") as status:
+        link.start(lambda name, missing: status.update(f"{name}: {missing}"))
+    with _progress() as progress:
+        ends_s = {vehicle.sysid: float(vehicle.trajectory.t_s[-1]) for vehicle in fleet_plan.vehicles}
+        bars = {v.sysid: progress.add_task(f"flying {v.name}", total=ends_s[v.sysid]) for v in fleet_plan.vehicles}
+
+        def show(fleet: Sequence[VehicleStatus]) -> None:
+            for vehicle in fleet:
+                done_s = ends_s[vehicle.sysid] if vehicle.landed else (vehicle.t_s or 0.0)
+                progress.update(bars[vehicle.sysid], completed=done_s)
+
+        try:
+            return link.watch(show)
+        except KeyboardInterrupt:
+            progress.stop()
+            if not simulated:
+                _leave(link)
+            raise
+
+
+def _leave(link: FleetLink) -> None:
+    """Ask what flying vehicles shall do when the operator interrupts; without a terminal they fly on."""
+    choice = "auto"
+    if sys.stdin.isatty():
+        question = "vehicles are flying: auto (fly on), hold, land or rtl?"
+        choice = typer.prompt(question, default="auto", type=click.Choice(["auto", "hold", "land", "rtl"]), err=True)
+    if choice != "auto":
+        link.order(cast('Literal["hold", "land", "rtl"]', choice))
+    told = "fly on with their missions" if choice == "auto" else f"were sent to {choice} and have confirmed"
+    print(f"missionplanner: the vehicles {told}; nobody watches them now", file=sys.stderr)
+
+
+@app.command()
 def report(folder: PlanFolder, as_json: AsJson = False) -> None:
     """Write FOLDER/report.html: maps, profiles, separation, arrival windows, convergence, and the flight if flown."""
     from missionplanner.plan_folder import load_flight, load_plan
@@ -168,9 +320,6 @@ def schema() -> None:
     _print_json(mission_schema())
 
 
-FILES = "files"
-
-
 def _scene(path: Path, algorithm: str | None = None) -> Scene:
     from missionplanner.mission import load_mission
     from missionplanner.scene import build_scene
@@ -182,7 +331,10 @@ def _scene(path: Path, algorithm: str | None = None) -> Scene:
         find_algorithm(algorithm)
         settings = mission.planner.model_copy(update={"algorithm": algorithm})
         mission = mission.model_copy(update={"planner": settings})
-    return build_scene(mission, path.parent)
+    try:
+        return build_scene(mission, path.parent)
+    except MissionError as error:
+        raise MissionError(f"{path}: {error}") from error
 
 
 def _default_folder(scene: Scene) -> Path:
@@ -198,7 +350,7 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
 
     ensure_writable(folder)
     with _progress() as progress:
-        bars: dict[str, Any] = {}
+        bars: dict[str, TaskID] = {}
 
         def watch(vehicle: str, done: float) -> None:
             if vehicle not in bars:

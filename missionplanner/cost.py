@@ -6,7 +6,7 @@ Every term is a number without unit, of order one for a path of ordinary badness
 term        eq.     what it measures; L is the route's straight length, "/ L" an integral along the path
 =========== ======= ======================================================================================
 voyage      14      length / L
-smooth      11, 12  integral of curvature squared * L (sound reading: the bending energy)
+smooth      11, 12  integral of curvature squared * (20 m)^2 / L (sound reading: the bending energy)
 inspection  15      share of the towers' weight not collected; a missed tower costs the more, the further off
 radar       17      zones that are not hard: (depth / radius)^2 / L
 atmosphere  18      (altitude / 1 km)^2 / L

@@ -332,7 +332,7 @@ class Weights(Model):
     """Weights of the price's terms (PAPER.md eqs 13 and 20); every term is normalised to order one."""
 
     voyage: NonNegative = 1.0
-    smooth: NonNegative = 0.05
+    smooth: NonNegative = Field(1.0, description="bending energy: as much as the way that sharp turns cost in time")
     inspection: NonNegative = 1.0
     radar: NonNegative = Field(1.0, description="zones that are not hard (eq. 17)")
     atmosphere: NonNegative = Field(0.0, description="altitude squared (eq. 18)")

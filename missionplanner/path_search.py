@@ -1,9 +1,10 @@
 """One vehicle's path: first guesses from the graph, PSO-ABC-SA on a smooth curve, then the legs that are flown.
 
-The curve is a C2 cubic spline through the route's points and free control points between them. The search moves the
-free ones in a box around the guesses of all homotopy classes at once, so that it may change its mind about the side of
-an obstacle. A curve counts only when every piece of it, and every leg fitted to it, is clear by the vehicle's whole
-margin; if not, the next attempt holds the curve closer to the guess, which is itself clear.
+A guess is a clear polyline. It becomes a C2 cubic spline that hugs it, the closer the nearer its control points stand
+to the corners. Of all guesses, one per homotopy class, the cheapest curve is taken, and the search bends it: it moves a
+few handles between the route's points, and the curve follows as a second, wider spline of their offsets. So the search
+starts from a clear path and can only improve on it. A curve counts only when every piece of it, every leg fitted to it,
+and the curve flown along those legs are clear by the vehicle's whole margin; if not, the next attempt hugs closer.
 """
 
 from __future__ import annotations
@@ -30,9 +31,13 @@ from missionplanner.seeds import first_guesses
 from missionplanner.waypoints import fit_waypoints
 
 _ATTEMPTS = 5
-_GUESSES_PER_SECTION = 4
-_CANDIDATES = 8
-_SAMPLES_MAX = 600
+_GUESSES_PER_SECTION = 3
+_SAMPLES_MAX = 500
+_SAMPLE_M = 15.0
+_CORNER_M = 24.0
+"""How far from a corner its neighbouring control points stand in the first attempt; halved in each further one."""
+_SETTLING_COST = 0.003
+"""Share of the price that may be given up for a curve of fewer bends."""
 _ANGLE_SLACK_RAD = math.radians(0.5)
 """The search keeps this far inside the climb limit, because a chord may be steeper than the curve it cuts."""
 
@@ -51,27 +56,28 @@ class PlannedPath:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Curve:
-    """A family of splines: ``control`` (K, 3) of the first guess, of which ``free`` may move, sampled by ``matrix``."""
+class _Family:
+    """Curves around one guess: samples of the guess's own spline, plus a spline of the handles' offsets."""
 
-    matrix: FloatArray  # (S, K)
-    stops: npt.NDArray[np.intp]  # samples at the route's points
-    free: npt.NDArray[np.intp]
-    candidates: FloatArray  # (C, K, 3)
-    lower: FloatArray  # (F, 3)
-    upper: FloatArray  # (F, 3)
+    base_m: FloatArray  # (S, 3)
+    stops: npt.NDArray[np.intp]  # the samples at the route's points
+    handles: FloatArray  # (S, H), the basis of the offsets; zero at the stops
+    reach_m: FloatArray  # (H, 3), the greatest offsets
 
     @property
-    def guesses(self) -> FloatArray:
-        """The candidates' free points in the unit box: (C, 3 F)."""
-        moved = (self.candidates[:, self.free] - self.lower) / (self.upper - self.lower)
-        return moved.reshape(len(moved), -1)
+    def dimensions(self) -> int:
+        """Coordinates of the search: three per handle."""
+        return self.reach_m.size
+
+    @property
+    def guess(self) -> FloatArray:
+        """The point of the unit box (3 H,) that is the guess itself."""
+        return np.full(self.dimensions, 0.5)
 
     def paths(self, x: FloatArray) -> FloatArray:
-        """Return the curves (P, S, 3) of points of the unit box (P, 3 F)."""
-        control = np.repeat(self.candidates[:1], len(x), axis=0)
-        control[:, self.free] = self.lower + x.reshape(len(x), -1, 3) * (self.upper - self.lower)
-        paths: FloatArray = np.matmul(self.matrix, control)
+        """Return the curves (P, S, 3) of points of the unit box (P, 3 H); its centre is the guess."""
+        offsets = (2.0 * x.reshape(len(x), -1, 3) - 1.0) * self.reach_m
+        paths: FloatArray = self.base_m + np.matmul(self.handles, offsets)
         return paths
 
 
@@ -111,12 +117,12 @@ def find_path(
                 break  # there is a way, but no room to hold it closer
             extra_m = settings.waypoint_tolerance_m
             sections = _guess_sections(task, space, extra_m)
-        curve = _curve(sections, 2**attempt)
         price = price_of(extra_m)
-        result = _search(curve, price, settings, rng, on_iteration if attempt == 0 else None)
-        for x in (result.best, curve.guesses[0]):
-            path_m = np.round(curve.paths(x[np.newaxis])[0], 3)
-            waypoints = _flyable_legs(path_m, curve.stops, task, space, settings.waypoint_tolerance_m)
+        family = _cheapest_family(sections, _corner_m(task) / 2**attempt, price)
+        result = _search(family, price, settings, rng, on_iteration if attempt == 0 else None)
+        settled = _settled(family, result.best, price)
+        for path_m in np.round(family.paths(np.stack([settled, result.best, family.guess])), 3):
+            waypoints = _flyable_legs(path_m, family.stops, task, space, settings.waypoint_tolerance_m)
             if waypoints is not None and flown_is_clear(waypoints):
                 return PlannedPath(
                     path_m=path_m,
@@ -134,30 +140,50 @@ def find_path(
 
 
 def _search(
-    curve: _Curve,
+    family: _Family,
     price: Price,
     settings: Planner,
     rng: np.random.Generator,
     on_iteration: Callable[[float], None] | None,
 ) -> SearchResult:
-    """Return the cheapest member of the family found from its guesses."""
+    """Return the cheapest member of the family that the search finds; it begins at and around the guess."""
     evaluations = settings.population * settings.iterations
+    shaken = family.guess + rng.normal(0.0, 0.1, (settings.population // 2, family.dimensions))
 
     def report(used: int, _best: float) -> None:
         if on_iteration is not None:
             on_iteration(used / evaluations)
 
     return minimise(
-        lambda x: price.total(curve.paths(x)),
-        np.zeros(curve.lower.size),
-        np.ones(curve.lower.size),
+        lambda x: price.total(family.paths(x)),
+        np.zeros(family.dimensions),
+        np.ones(family.dimensions),
         algorithm=settings.algorithm,
         evaluations=evaluations,
         seed=int(rng.integers(2**63)),
         population=settings.population,
-        initial=_around(curve.guesses, settings.population // 2, rng),
+        initial=np.concatenate([family.guess[np.newaxis], shaken]),
         callback=report,
     )
+
+
+def _settled(family: _Family, x: FloatArray, price: Price) -> FloatArray:
+    """Return ``x`` with every handle back on the guess that does not earn its place.
+
+    A swarm leaves all handles a little off. Each costs waypoints, for a curve that straight legs would fly as well.
+    """
+    handles = x.reshape(-1, 3).copy()
+    most = float(price.total(family.paths(x[np.newaxis]))[0]) * (1.0 + _SETTLING_COST)
+    off = list(range(len(handles)))
+    while off:
+        trials = np.repeat(handles[np.newaxis], len(off), axis=0)
+        trials[np.arange(len(off)), off] = 0.5
+        costs = price.total(family.paths(trials.reshape(len(off), -1)))
+        cheapest = int(np.argmin(costs))
+        if costs[cheapest] > most:
+            break
+        handles[off.pop(cheapest)] = 0.5
+    return handles.ravel()
 
 
 def _flyable_legs(
@@ -178,6 +204,7 @@ def _flyable_legs(
 
 
 def _guess_sections(task: VehicleTask, space: SpaceArrays, extra_m: float) -> list[list[FloatArray]]:
+    """Return, for each pair of consecutive route points, clear polylines (K, 3) between them, the shortest first."""
     limits = replace(
         task.limits,
         climb_angle_rad=max(task.limits.climb_angle_rad - 2 * _ANGLE_SLACK_RAD, 0.5 * task.limits.climb_angle_rad),
@@ -187,6 +214,11 @@ def _guess_sections(task: VehicleTask, space: SpaceArrays, extra_m: float) -> li
     )
     sections = []
     for index, (start, goal) in enumerate(pairwise(task.route_m)):
+        straight = np.stack([start, goal])
+        leg = straight[np.newaxis]
+        if legs_clear(space, Margins.of(limits, extra_m), leg)[0] and legs_within_angles(limits, leg)[0]:
+            sections.append([straight])
+            continue
         try:
             sections.append(
                 first_guesses(space, limits, start, goal, count=_GUESSES_PER_SECTION, clearance_extra_m=extra_m)
@@ -196,69 +228,68 @@ def _guess_sections(task: VehicleTask, space: SpaceArrays, extra_m: float) -> li
     return sections
 
 
-def _curve(sections: list[list[FloatArray]], density: int) -> _Curve:
-    """Return the splines around the sections' guesses, with ``density`` times the usual number of control points."""
-    counts = [_free_points(guesses[0], density) for guesses in sections]
-    combinations = [[guesses[0] for guesses in sections]]
+def _corner_m(task: VehicleTask) -> float:
+    """Return how far from its corners the first attempt's curve may leave the guess: room for the turns it must fly."""
+    return max(_CORNER_M, 2.0 * task.limits.turn_radius_m)
+
+
+def _cheapest_family(sections: list[list[FloatArray]], corner_m: float, price: Price) -> _Family:
+    """Return the curves around the cheapest combination of the sections' guesses, looked for section by section."""
+    chosen = [guesses[0] for guesses in sections]
+    best = _family(chosen, corner_m)
+    best_cost = float(price.total(best.base_m[np.newaxis])[0])
     for s, guesses in enumerate(sections):
         for other in guesses[1:]:
-            combinations.append([*combinations[0][:s], other, *combinations[0][s + 1 :]])
-    combinations = combinations[:_CANDIDATES]
-    candidates = np.stack([_control(c, counts) for c in combinations])  # (C, K, 3)
-    fixed = np.cumsum([0, *(n + 1 for n in counts)])
-    control_count = candidates.shape[1]
-    free = np.setdiff1d(np.arange(control_count), fixed)
+            candidate = _family([*chosen[:s], other, *chosen[s + 1 :]], corner_m)
+            cost = float(price.total(candidate.base_m[np.newaxis])[0])
+            if cost < best_cost:
+                best, best_cost, chosen = candidate, cost, [*chosen[:s], other, *chosen[s + 1 :]]
+    return best
 
-    chords = np.linalg.norm(np.diff(candidates[0], axis=0), axis=1)
-    knots = np.concatenate([[0.0], np.cumsum(np.maximum(chords, 1e-3))])
-    spacing = max(knots[-1] / _SAMPLES_MAX, min(15.0, knots[-1] / 64))
-    samples = [np.zeros(1)]
-    stops = [0]
-    for begin, end in pairwise(fixed):
-        pieces = max(int(end - begin) * 4, math.ceil((knots[end] - knots[begin]) / spacing))
-        samples.append(np.linspace(knots[begin], knots[end], pieces + 1)[1:])
-        stops.append(stops[-1] + pieces)
 
-    room = _room(knots, fixed, free, density)
-    moving = candidates[:, free]
-    return _Curve(
-        matrix=basis(knots, np.concatenate(samples)),
-        stops=np.array(stops, dtype=np.intp),
-        free=free,
-        candidates=candidates,
-        lower=moving.min(axis=0) - room,
-        upper=moving.max(axis=0) + room,
+def _family(polylines: list[FloatArray], corner_m: float) -> _Family:
+    """Return the curves around one polyline per section."""
+    control = [polylines[0][:1]]
+    ends = [0]  # indices of the route's points among the control points
+    for polyline in polylines:
+        control += [_graded(a, b, corner_m) for a, b in pairwise(polyline) if not np.array_equal(a, b)]
+        ends.append(sum(len(part) for part in control) - 1)
+    points = np.concatenate(control)
+    knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    at_stops = knots[ends]
+
+    spacing_m = max(_SAMPLE_M, at_stops[-1] / _SAMPLES_MAX)
+    pieces = np.maximum(12, np.ceil(np.diff(at_stops) / spacing_m).astype(int))
+    samples = np.concatenate(
+        [[0.0], *(np.linspace(a, b, n + 1)[1:] for (a, b), n in zip(pairwise(at_stops), pieces, strict=True))]
+    )
+
+    # a handle about every 250 m, at least one between stops; the vertical reach is smaller: height costs more
+    counts = np.clip(np.round(np.diff(at_stops) / 250.0).astype(int), 1, 8)
+    places = [np.linspace(a, b, n + 2)[1:-1] for (a, b), n in zip(pairwise(at_stops), counts, strict=True)]
+    gaps = np.repeat(np.diff(at_stops) / (counts + 1), counts)
+    handle_knots = np.sort(np.concatenate([at_stops, *places]))
+    moving = ~np.isin(handle_knots, at_stops)
+    lateral_m, vertical_m = np.clip(0.2 * gaps, 3.0, 60.0), np.clip(0.1 * gaps, 3.0, 30.0)
+    return _Family(
+        base_m=basis(knots, samples) @ points,
+        stops=np.concatenate([[0], np.cumsum(pieces)]),
+        handles=basis(handle_knots, samples)[:, moving],
+        reach_m=np.stack([lateral_m, lateral_m, vertical_m], axis=1),
     )
 
 
-def _free_points(guess: FloatArray, density: int) -> int:
-    """Return how many control points a section gets: more where the way is long or bends."""
-    bends = len(guess) - 2
-    return density * max(1, min(4, round(float(length_m(guess)) / 400)), min(12, 2 * bends + 1))
+def _graded(a: FloatArray, b: FloatArray, corner_m: float) -> FloatArray:
+    """Return control points (N, 3) on the leg from a (excluded) to b: close at both ends, ever wider in between.
 
-
-def _control(polylines: list[FloatArray], counts: list[int]) -> FloatArray:
-    """Return control points (K, 3): the route's points, and between them ``counts`` points evenly along the guess."""
-    points = [polylines[0][:1]]
-    for polyline, count in zip(polylines, counts, strict=True):
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(polyline, axis=0), axis=1))])
-        at = np.linspace(0.0, along[-1], count + 2)[1:]
-        points.append(np.stack([np.interp(at, along, polyline[:, k]) for k in range(3)], axis=1))
-    return np.concatenate(points)
-
-
-def _room(knots: FloatArray, fixed: npt.NDArray[np.intp], free: npt.NDArray[np.intp], density: int) -> FloatArray:
-    """Return how far (F, 3) each free point may leave the guesses: with the section's length, less when denser."""
-    section = np.searchsorted(fixed, free) - 1
-    length = knots[fixed[section + 1]] - knots[fixed[section]]
-    lateral = np.clip(0.1 * length, 3.0, 150.0) / density**2
-    vertical = np.clip(0.05 * length, 3.0, 60.0) / density**2
-    return np.stack([lateral, lateral, vertical], axis=1)
-
-
-def _around(guesses: FloatArray, count: int, rng: np.random.Generator) -> FloatArray:
-    """Return the guesses (C, D) and, up to ``count`` rows, copies of them shaken a little."""
-    copies = guesses[np.arange(max(0, count - len(guesses))) % len(guesses)]
-    shaken = copies + rng.normal(0.0, 0.05, copies.shape)
-    around: FloatArray = np.clip(np.concatenate([guesses, shaken]), 0.0, 1.0)
-    return around
+    Steps that double keep a spline from swinging out beside a corner.
+    """
+    leg_m = float(np.linalg.norm(b - a))
+    from_end_m: list[float] = []
+    step_m = min(corner_m, leg_m / 3.0)
+    while sum(from_end_m[-1:]) + step_m < 0.5 * leg_m:
+        from_end_m.append(sum(from_end_m[-1:]) + step_m)
+        step_m *= 2.0
+    along = np.array([*from_end_m, *(leg_m - d for d in reversed(from_end_m)), leg_m]) / max(leg_m, 1e-9)
+    points: FloatArray = a + along[:, np.newaxis] * (b - a)
+    return points

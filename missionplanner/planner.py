@@ -8,7 +8,8 @@ around the other's flight, or starts later. What is returned has passed every ch
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import pairwise
 from typing import Protocol
 
@@ -25,9 +26,10 @@ from missionplanner.path import evenly
 from missionplanner.path_search import PlannedPath, find_path
 from missionplanner.plan import FleetPlan, Trajectory, VehiclePlan
 from missionplanner.proof import Conflict
-from missionplanner.scene import Scene, VehicleTask
+from missionplanner.scene import Scene, Towers, VehicleTask
 
-_FELLOW_INSTANTS = 256
+_FELLOW_INSTANTS = 128
+_FELLOW_SLACK_M = 5.0
 _ROUNDS = 16
 _AVOID_S = 20.0
 """How long before and after a conflict the other's flight is kept clear of."""
@@ -107,7 +109,7 @@ def schedule(
     Raises
     ------
     InfeasibleError
-        The fleet cannot arrive together, or a vehicle cannot stay within its endurance.
+        The fleet cannot arrive together.
     """
     fleet = scene.mission.fleet
     windows = [_window(task, path) for task, path in zip(scene.tasks, paths, strict=True)]
@@ -118,28 +120,11 @@ def schedule(
     arrival_s = timing.common_arrival(
         dict(zip(names, windows, strict=True)), dict(zip(names, delays_s, strict=True)), fleet.arrival_time_s
     )
-    schedules = []
-    for task, path, delay_s, window_s in zip(scene.tasks, paths, delays_s, windows, strict=True):
-        low, high = task.limits.speed_min_m_s, task.limits.speed_max_m_s
-        speed_m_s = timing.speed_for_arrival(task.motion, task.home_m, path.waypoints_m, arrival_s - delay_s, low, high)
-        schedules.append(Schedule(delay_s, speed_m_s, window_s))
+    schedules = [
+        Schedule(delay_s, _speed(task, path, arrival_s - delay_s), window_s)
+        for task, path, delay_s, window_s in zip(scene.tasks, paths, delays_s, windows, strict=True)
+    ]
     return schedules, arrival_s
-
-
-def predict(
-    scene: Scene, task: VehicleTask, waypoints_m: FloatArray, speed_m_s: float, start_delay_s: float = 0.0
-) -> tuple[Trajectory, FloatArray]:
-    """Return a vehicle's predicted flight, and when (W,) it reaches each waypoint."""
-    goal_m = waypoints_m[-1]
-    return timing.predict_flight(
-        task.motion,
-        task.home_m,
-        waypoints_m,
-        speed_m_s,
-        end=task.end,
-        ground_amsl_m=scene.terrain.ground_amsl_m(goal_m[0], goal_m[1], f"{task.name}'s goal"),
-        start_delay_s=start_delay_s,
-    )
 
 
 def assemble(
@@ -148,7 +133,7 @@ def assemble(
     """Return the fleet plan of paths and schedules, flights predicted, nothing checked yet."""
     vehicles = []
     for task, path, when in zip(scene.tasks, paths, schedules, strict=True):
-        trajectory, reached_s = predict(scene, task, path.waypoints_m, when.speed_m_s, when.start_delay_s)
+        trajectory, reached_s = _flight(task, path, when.speed_m_s, when.start_delay_s, _goal_ground(scene, task))
         vehicles.append(
             VehiclePlan(
                 name=task.name,
@@ -186,9 +171,46 @@ def assemble(
     )
 
 
+# Most paths outlive a round of the planner: what follows from one is worked out once (they compare by identity).
+
+
+@lru_cache(maxsize=256)
 def _window(task: VehicleTask, path: PlannedPath) -> tuple[float, float]:
     low, high = task.limits.speed_min_m_s, task.limits.speed_max_m_s
     return timing.arrival_window(task.motion, task.home_m, path.waypoints_m, low, high)
+
+
+@lru_cache(maxsize=256)
+def _speed(task: VehicleTask, path: PlannedPath, arrival_s: float) -> float:
+    low, high = task.limits.speed_min_m_s, task.limits.speed_max_m_s
+    return timing.speed_for_arrival(task.motion, task.home_m, path.waypoints_m, arrival_s, low, high)
+
+
+@lru_cache(maxsize=256)
+def _flight(
+    task: VehicleTask, path: PlannedPath, speed_m_s: float, start_delay_s: float, ground_amsl_m: float
+) -> tuple[Trajectory, FloatArray]:
+    return _predict(task, path.waypoints_m, speed_m_s, start_delay_s, ground_amsl_m)
+
+
+def _predict(
+    task: VehicleTask, waypoints_m: FloatArray, speed_m_s: float, start_delay_s: float, ground_amsl_m: float
+) -> tuple[Trajectory, FloatArray]:
+    """Return a vehicle's predicted flight, and when (W,) it reaches each waypoint."""
+    return timing.predict_flight(
+        task.motion,
+        task.home_m,
+        waypoints_m,
+        speed_m_s,
+        end=task.end,
+        ground_amsl_m=ground_amsl_m,
+        start_delay_s=start_delay_s,
+    )
+
+
+def _goal_ground(scene: Scene, task: VehicleTask) -> float:
+    x_m, y_m, _ = task.route_m[-1]
+    return scene.terrain.ground_amsl_m(x_m, y_m, f"{task.name}'s goal")
 
 
 def _path(
@@ -202,6 +224,10 @@ def _path(
     """Return one vehicle's path; the ways of ``fellows`` are priced as if all flew evenly and arrived together."""
     fellows_m = np.stack([evenly(f.path_m, _FELLOW_INSTANTS) for f in fellows]) if fellows else None
     margins = Margins.of(task.limits)
+    unvisited = _unvisited(scene)
+    # what the check asks for, and a little more: the price knows the fellows' timing only roughly
+    error_m = max(other.limits.tracking_error_m for other in scene.tasks)
+    separation_m = scene.mission.fleet.separation_m + task.limits.tracking_error_m + error_m + _FELLOW_SLACK_M
 
     def price_of(extra_m: float) -> Price:
         return Price(
@@ -209,19 +235,33 @@ def _path(
             limits=task.limits,
             route_length_m=float(np.linalg.norm(np.diff(task.route_m, axis=0), axis=1).sum()),
             weights=scene.mission.planner.weights,
-            towers=scene.towers,
+            towers=unvisited,
             fellows=fellows_m,
-            separation_m=scene.mission.fleet.separation_m,
+            separation_m=separation_m,
             clearance_extra_m=extra_m,
         )
 
     def flown_is_clear(waypoints_m: FloatArray) -> bool:
-        trajectory, reached_s = predict(scene, task, waypoints_m, task.limits.speed_max_m_s)
+        trajectory, reached_s = _predict(task, waypoints_m, task.limits.speed_max_m_s, 0.0, _goal_ground(scene, task))
         airborne = proof.airborne_part(trajectory, float(reached_s[0]))
         return bool(proof.all_clear(space, margins, polyline_legs(airborne.position_m)))
 
     on_iteration = None if watch is None else lambda done: watch(task.name, done)
     return find_path(task, space, price_of, scene.mission.planner, rng, flown_is_clear, on_iteration)
+
+
+def _unvisited(scene: Scene) -> Towers | None:
+    """Return the towers that no vehicle's route passes anyway: only those make a difference to a path's price."""
+    towers = scene.towers
+    if towers is None:
+        return None
+    stops_m = np.concatenate([task.route_m for task in scene.tasks])
+    nearest_m = np.linalg.norm(towers.top_m[:, np.newaxis] - stops_m, axis=-1).min(axis=1)
+    left = np.flatnonzero(nearest_m > towers.range_m)
+    if left.size == 0:
+        return None
+    names = tuple(towers.names[k] for k in left)
+    return replace(towers, names=names, top_m=towers.top_m[left], weight=towers.weight[left])
 
 
 def _flight_around(other: VehiclePlan, conflict: Conflict, task: VehicleTask) -> list[CableSolid]:

@@ -52,7 +52,7 @@ class VehicleLimits:
 _MOTION_DEFAULTS: dict[tuple[Autopilot, VehicleClass], tuple[float, float, float]] = {
     # acceleration m/s^2, jerk m/s^3, waypoint radius m
     ("ardupilot", "copter"): (2.5, 1.0, 2.0),
-    ("px4", "copter"): (3.0, 4.0, 10.0),
+    ("px4", "copter"): (3.0, 4.0, 2.0),  # multicopter airframes set NAV_ACC_RAD to 2
     ("ardupilot", "plane"): (1.5, 1.0, 50.0),
     ("px4", "plane"): (1.5, 1.0, 50.0),
 }

@@ -159,7 +159,7 @@ def _one(
     unit = step / hop[:, None]
     terms = dict.fromkeys(TERMS, 0.0)
     terms["voyage"] = hop.sum() / route_m
-    terms["smooth"] = (np.sum(np.diff(unit, axis=0) ** 2, axis=1) / ((hop[:-1] + hop[1:]) / 2)).sum() * route_m
+    terms["smooth"] = (np.sum(np.diff(unit, axis=0) ** 2, axis=1) / ((hop[:-1] + hop[1:]) / 2)).sum() * 400 / route_m
     z2 = (path[:, 2] / 1000) ** 2
     terms["atmosphere"] = np.sum(hop * (z2[:-1] + z2[1:]) / 2) / route_m
     terms["climb"] = step[:, 2].clip(0).sum() / route_m

@@ -83,7 +83,7 @@ class TestByHand:
     def test_bending_of_a_circle_is_its_angle_over_its_radius(self):
         angle = np.linspace(0.0, math.pi, 2001)
         path = np.stack([200 * np.cos(angle), 200 * np.sin(angle), np.full(2001, 50.0)], axis=-1)[np.newaxis]
-        assert terms(path)["smooth"] == pytest.approx(math.pi / 200 * 1000, rel=1e-3)
+        assert terms(path)["smooth"] == pytest.approx(math.pi / 200 * 20**2 / 1000, rel=1e-3)
 
     def test_turn_radius_and_turn_angle(self):
         angle = np.linspace(0.0, math.pi, 1001)
