@@ -112,6 +112,8 @@ def space_view(facts: Facts, shapes: Sequence[Shape]) -> Figure:
     for v in facts.vehicles:
         _draw_vehicle(axes, facts, block, v)
         labels.avoid_line(block.camera.project(v.plan.path_m))
+        for place in block.camera.project(np.array([v.plan.home_m, v.plan.path_m[-1]])):
+            labels.avoid_mark(place, 4.5)
     _label(labels, axes, facts, block, shapes)
     _compass(axes, block, ground)
     return figure
