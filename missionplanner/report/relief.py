@@ -48,12 +48,12 @@ def sample_ground(terrain: Terrain, box: Box, columns: int) -> Ground:
     return Ground(x, y, np.asarray(terrain.height_amsl_m(xx, yy), dtype=float))
 
 
-def relief_colours(ground: Ground, *, sea: bool) -> FloatArray:
-    """Return colours (R, C, 3): tinted by height, shaded by slope; with ``sea``, ground at sea level is water."""
+def relief_colours(ground: Ground, *, sea: bool) -> npt.NDArray[np.uint8]:
+    """Return colours (R, C, 3), 0 to 255: tinted by height and shaded by slope; with ``sea``, water at sea level."""
     z = ground.height_amsl_m
     known = np.isfinite(z)
     if not known.any():
-        return np.broadcast_to(_VOID, (*z.shape, 3)).copy()
+        return np.full((*z.shape, 3), np.round(255 * _VOID), dtype=np.uint8)
     low, high = np.percentile(z[known], [1, 99])
     filled = np.where(known, z, low)
     share = (filled - low) / (high - low) if high - low > _FLAT_M else np.full(z.shape, 0.4)
@@ -63,7 +63,7 @@ def relief_colours(ground: Ground, *, sea: bool) -> FloatArray:
     shade = _shade(filled, ground)
     colours = np.clip(colours * shade[..., None], 0.0, 1.0)
     colours[~known] = _VOID
-    return colours
+    return np.round(255.0 * colours).astype(np.uint8)
 
 
 def contour_interval_m(relief_m: float) -> float:

@@ -33,7 +33,7 @@ _ELEVATION_RAD = math.radians(38.0)
 _COLUMNS = 1440
 _DEPTHS = 900
 _GROUND_CELLS = 420
-_SKIRTS = (np.array([0.66, 0.60, 0.52]), np.array([0.76, 0.71, 0.63]))
+_SKIRTS = ((168, 153, 133), (194, 181, 161))
 _LIGHT = np.array([-0.6, -0.25, 0.75])
 
 
@@ -80,7 +80,7 @@ class _Block:
     near_m: FloatArray  # (C,) where a column enters the block
     far_m: FloatArray
     horizon_m: FloatArray  # (D, C): highest screen position up to that depth
-    image: FloatArray  # (H, C, 4)
+    image: npt.NDArray[np.uint8]  # (H, C, 4)
     screen: tuple[float, float, float, float]  # left, right, bottom, top
 
     def visible(self, positions_m: FloatArray) -> npt.NDArray[np.bool_]:
@@ -162,7 +162,7 @@ def _draw_block(facts: Facts, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
     bottom = float(camera.up(near, np.array(base)).min()) - 3 * step
     top = max(float(horizon[-1].max()), *map(float, tallest)) + 0.045 * (right[-1] - right[0])
     rows = np.arange(bottom, top, step)
-    image = np.zeros((rows.size, _COLUMNS, 4))
+    image = np.zeros((rows.size, _COLUMNS, 4), dtype=np.uint8)
     texture = np.stack([map_coordinates(colours[..., k], at, order=1, mode="nearest") for k in range(3)], axis=-1)
     foot = camera.up(near, np.full(near.shape, base))
     front = int(np.argmin(away_corner))
@@ -171,7 +171,7 @@ def _draw_block(facts: Facts, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
         seen = np.searchsorted(horizon[:, c], rows[rise:last])
         image[rise:last, c, :3] = texture[np.minimum(seen, _DEPTHS - 1), c]
         image[first:rise, c, :3] = _SKIRTS[int(right[c] > right_corner[front])]
-        image[first:last, c, 3] = 1.0
+        image[first:last, c, 3] = 255
     screen = (float(right[0]), float(right[-1]), bottom, float(rows[-1] + step))
     return _Block(camera, box, float(right_corner[front]), right, near, far, horizon, image, screen), ground
 
