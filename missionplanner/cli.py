@@ -16,7 +16,6 @@ from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
-import click
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -24,7 +23,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from missionplanner.errors import InfeasibleError, MissionError, MissionPlannerError
 
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
-    from adapters.fleet_link import Clock, FleetLink, VehicleStatus
+    from adapters.fleet_link import Clock, FleetLink, Order, VehicleStatus
     from missionplanner.plan import FleetFlight, FleetPlan
     from missionplanner.proof import FlightCheck
     from missionplanner.scene import Scene
@@ -38,6 +37,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 FILES, LOGS = "files", "logs"
+_ORDERS = ("auto", "hold", "land", "rtl")
 _stdout = Console()
 _stderr = Console(stderr=True)
 
@@ -291,12 +291,11 @@ def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool)
 
 def _leave(link: FleetLink) -> None:
     """Ask what flying vehicles shall do when the operator interrupts; without a terminal they fly on."""
-    choice = "auto"
-    if sys.stdin.isatty():
-        question = "vehicles are flying: auto (fly on), hold, land or rtl?"
-        choice = typer.prompt(question, default="auto", type=click.Choice(["auto", "hold", "land", "rtl"]), err=True)
+    choice = "auto" if not sys.stdin.isatty() else ""
+    while choice not in _ORDERS:
+        choice = typer.prompt(f"vehicles are flying: {', '.join(_ORDERS)}? (auto: fly on)", default="auto", err=True)
     if choice != "auto":
-        link.order(cast('Literal["hold", "land", "rtl"]', choice))
+        link.order(cast("Order", choice))
     told = "fly on with their missions" if choice == "auto" else f"were sent to {choice} and have confirmed"
     print(f"missionplanner: the vehicles {told}; nobody watches them now", file=sys.stderr)
 
@@ -347,8 +346,12 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
     from missionplanner.files import ensure_writable
     from missionplanner.plan_folder import save_plan
     from missionplanner.planner import plan_fleet
+    from missionplanner.warmup import begin
 
     ensure_writable(folder)
+    compiling = begin()
+    if compiling is not None:
+        print("first run: compiling the kernels takes half a minute, once", file=sys.stderr)
     with _progress() as progress:
         bars: dict[str, TaskID] = {}
 
@@ -356,6 +359,8 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
             if vehicle not in bars:
                 bars[vehicle] = progress.add_task(f"planning {vehicle}", total=1.0)
             progress.update(bars[vehicle], completed=done)
+            if compiling is not None and done >= 1.0:
+                compiling.wait()  # flights come next: what the other process compiles would be compiled twice
 
         fleet_plan = plan_fleet(scene, seed=seed, watch=watch)
     save_plan(folder, scene, fleet_plan)

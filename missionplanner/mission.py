@@ -273,6 +273,10 @@ class Motion(Model):
     acceleration_m_s2: Positive | None = Field(None, description="WPNAV_ACCEL / 100, MPC_ACC_HOR")
     jerk_m_s3: Positive | None = Field(None, description="WPNAV_JERK, MPC_JERK_AUTO")
     waypoint_radius_m: Positive | None = Field(None, description="WPNAV_RADIUS / 100, NAV_ACC_RAD, WP_RADIUS")
+    cruise_speed_m_s: Positive | None = Field(
+        None, description="planes, on take-off and on the way home: AIRSPEED_CRUISE, FW_AIRSPD_TRIM"
+    )
+    loiter_radius_m: Positive | None = Field(None, description="planes: WP_LOITER_RAD, NAV_LOITER_RAD")
 
 
 class VehicleSettings(Model):

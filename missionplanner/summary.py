@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from rich import box
 from rich.table import Table
 
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan
@@ -54,20 +55,24 @@ def summarise(plan: FleetPlan, flight: FleetFlight | None = None, check: FlightC
 def vehicle_table(summary: dict[str, Any]) -> Table:
     """Return one row per vehicle: length, speed, predicted and flown arrival, least clearances."""
     flown = "flown_clear" in summary["fleet"]
-    table = Table(title=f"{summary['mission']}: {'flown' if flown else 'planned'}")
-    for heading in ("vehicle", "length m", "speed m/s", "window s", "predicted arrival s"):
-        table.add_column(heading, justify="left" if heading == "vehicle" else "right")
-    if flown:
-        table.add_column("flown arrival s", justify="right")
-    table.add_column("height above ground m", justify="right")
-    table.add_column("nearest obstacle m")
+    table = Table(
+        title=f"{summary['mission']}, {'flown' if flown else 'planned'}: least distances, and in brackets what they need",
+        box=box.SIMPLE,
+        title_justify="left",
+        padding=(0, 1),
+    )
+    table.add_column("vehicle")
+    for heading in ("length\nm", "speed\nm/s", "window\ns", "arrival\ns", *(["flown\ns"] if flown else [])):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for heading in ("to ground\nm", "to obstacle\nm"):
+        table.add_column(heading, no_wrap=True)
     for row in summary["vehicles"]:
         clearances = row["flown_clearances" if flown else "clearances"]
         cells = [
             row["name"],
             f"{row['length_m']:.0f}",
             f"{row['speed_m_s']:.2f}",
-            f"{row['window_s'][0]:.0f} - {row['window_s'][1]:.0f}",
+            f"{row['window_s'][0]:.0f}-{row['window_s'][1]:.0f}",
             f"{row['arrival_s']:.1f}",
         ]
         if flown:
@@ -112,7 +117,7 @@ def _least(clearances: list[dict[str, Any]], kind: str) -> str:
     for c in clearances:
         if (c["to"] == kind) or (kind == "obstacle" and c["to"] not in {"terrain", "ceiling", "fence"}):
             where = "" if kind == "terrain" else f" {c['to']}"
-            return f"{c['distance_m']:.1f} (>= {c['required_m']:g}){where}"
+            return f"{c['distance_m']:.1f} ({c['required_m']:g}){where}"
     return "-"
 
 

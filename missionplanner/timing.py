@@ -216,13 +216,13 @@ def least_separation(trajectories: Sequence[Trajectory]) -> list[Separation]:
     for i, one in enumerate(trajectories):
         for j in range(i + 1, len(trajectories)):
             other = trajectories[j]
-            distance_m, t_s = _closest(one.t_s, one.position_m, other.t_s, other.position_m)
+            distance_m, t_s = closest_approach(one.t_s, one.position_m, other.t_s, other.position_m)
             found.append(Separation(i, j, float(distance_m), float(t_s), one.at(t_s), other.at(t_s)))
     return found
 
 
 @njit(cache=True)
-def _closest(t_a: FloatArray, a: FloatArray, t_b: FloatArray, b: FloatArray) -> tuple[float, float]:
+def closest_approach(t_a: FloatArray, a: FloatArray, t_b: FloatArray, b: FloatArray) -> tuple[float, float]:
     """Return the least distance of two piecewise linear motions, and when."""
     i = 0
     j = 0

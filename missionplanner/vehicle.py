@@ -29,6 +29,9 @@ class MotionModel:
     descent_rate_m_s: float
     waypoint_radius_m: float
     turn_radius_m: float
+    # planes only
+    cruise_speed_m_s: float = 22.0  # while no mission says otherwise: on take-off and on the way home
+    loiter_radius_m: float = 60.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +59,11 @@ _MOTION_DEFAULTS: dict[tuple[Autopilot, VehicleClass], tuple[float, float, float
     ("ardupilot", "plane"): (1.5, 1.0, 50.0),
     ("px4", "plane"): (1.5, 1.0, 50.0),
 }
+_PLANE_DEFAULTS: dict[Autopilot, tuple[float, float]] = {
+    # cruise speed m/s, loiter radius m
+    "ardupilot": (22.0, 60.0),
+    "px4": (15.0, 80.0),
+}
 _SPEED_DEFAULTS: dict[VehicleClass, tuple[float, float]] = {"copter": (3.0, 10.0), "plane": (14.0, 22.0)}
 _CLIMB_RATE_M_S: dict[tuple[Autopilot, VehicleClass], float] = {
     ("ardupilot", "copter"): 2.5,
@@ -72,7 +80,9 @@ def motion_model(settings: VehicleSettings) -> MotionModel:
     """Return the navigator's parameters: the mission file's, else the autopilot's defaults."""
     key = (settings.autopilot, settings.vehicle_class)
     acceleration, jerk, radius = _MOTION_DEFAULTS[key]
+    cruise, loiter = _PLANE_DEFAULTS[settings.autopilot]
     motion: Motion = settings.motion
+    turn_radius_m = _or(settings.turn_radius_m, _TURN_RADIUS_M[settings.vehicle_class])
     return MotionModel(
         autopilot=settings.autopilot,
         vehicle_class=settings.vehicle_class,
@@ -81,7 +91,9 @@ def motion_model(settings: VehicleSettings) -> MotionModel:
         climb_rate_m_s=_or(settings.climb.rate_m_s, _CLIMB_RATE_M_S[key]),
         descent_rate_m_s=_or(settings.descent.rate_m_s, _DESCENT_RATE_M_S[settings.vehicle_class]),
         waypoint_radius_m=_or(motion.waypoint_radius_m, radius),
-        turn_radius_m=_or(settings.turn_radius_m, _TURN_RADIUS_M[settings.vehicle_class]),
+        turn_radius_m=turn_radius_m,
+        cruise_speed_m_s=_or(motion.cruise_speed_m_s, cruise),
+        loiter_radius_m=max(_or(motion.loiter_radius_m, loiter), turn_radius_m),
     )
 
 

@@ -37,8 +37,8 @@ NAVIGATOR, PHASE, WAYPOINT, COUNT, HALTED, SLOT, STALE, INTEGERS = range(8)
 ARDUCOPTER, PX4, PLANE = range(3)  # navigators
 IDLE, STARTING, FLYING, HOLDING = range(4)  # phases
 
-# Columns of a route: the point, the leg to it, the hold there, and when it was reached.
-SPEED, HOLD, VERTICAL, REACHED, ROUTE = 3, 4, 5, 6, 7
+# Columns of a route: the point, the leg to it, the hold there, how a plane reaches it, and when it was reached.
+SPEED, HOLD, VERTICAL, BY_ALTITUDE, REACHED, ROUTE = 3, 4, 5, 6, 7, 8
 
 # Float columns. First what the vehicle does ...
 POSITION, VELOCITY, THRUST, INTEGRAL = 0, 3, 6, 9  # three each; thrust: acceleration by leaning; sum of velocity errors
@@ -47,10 +47,10 @@ TARGET, TARGET_VELOCITY, TARGET_ACCELERATION, ORIGIN = 12, 15, 18, 21  # three e
 ELAPSED, HOLD_LEFT, BRAKED, PACE, TURN_SPEED = 24, 25, 26, 27, 28  # clocks; share of a halt braked; a turn's speed
 # ... then its limits, which never change in flight ...
 ACCELERATION, JERK, SNAP, VERTICAL_ACCELERATION, CLIMB, DESCENT, RADIUS, TURN_RADIUS = range(29, 37)
-POSITION_GAIN, VELOCITY_GAIN, INTEGRAL_GAIN, LEAN, DRAG, DRAG_SQUARED = range(37, 43)
-NEW_SPEED = 43  # told by set_speed and not yet taken up; else NaN
+POSITION_GAIN, VELOCITY_GAIN, INTEGRAL_GAIN, LEAN, DRAG, DRAG_SQUARED, LOITER_RADIUS = range(37, 44)
+NEW_SPEED = 44  # told by set_speed and not yet taken up; else NaN
 # ... then ArduCopter's three S-curve legs (flown before, now, next), LEG columns each.
-LEGS = 44
+LEGS = 45
 
 # Columns of a leg: unit vector, length, time flown, greatest speed and acceleration along it; then its segments.
 UX, LENGTH, TIME, TOP, ACC, SEGMENT_0 = 0, 3, 4, 5, 6, 7
@@ -81,6 +81,7 @@ def initial(model: MotionModel, position_m: npt.ArrayLike) -> tuple[FloatArray, 
     row[DESCENT] = model.descent_rate_m_s
     row[RADIUS] = model.waypoint_radius_m
     row[TURN_RADIUS] = model.turn_radius_m
+    row[LOITER_RADIUS] = model.loiter_radius_m
     if model.vehicle_class == "plane":
         number[NAVIGATOR] = PLANE
         row[VERTICAL_ACCELERATION] = 3.0  # TECS_VERT_ACC is 7; kept gentle as pitch limits do
