@@ -38,7 +38,7 @@ app = typer.Typer(
 )
 FILES, LOGS = "files", "logs"
 _ORDERS = ("auto", "hold", "land", "rtl")
-_stdout = Console()
+_stdout = Console(width=None if sys.stdout.isatty() else 120)
 _stderr = Console(stderr=True)
 
 MissionFile = Annotated[Path, typer.Argument(metavar="MISSION", help="mission file (YAML)")]

@@ -84,6 +84,7 @@ class _Family:
 def find_path(
     task: VehicleTask,
     space: SpaceArrays,
+    names: tuple[str, ...],
     price_of: Callable[[float], Price],
     settings: Planner,
     rng: np.random.Generator,
@@ -94,6 +95,8 @@ def find_path(
 
     Parameters
     ----------
+    names
+        Of the space's obstacles, for messages.
     price_of
         The price of curves when all margins are tighter by the metres given.
     flown_is_clear
@@ -111,12 +114,12 @@ def find_path(
         # the fitted legs may leave the curve by the tolerance and the vehicle cuts its corners: room for both
         extra_m = settings.waypoint_tolerance_m + corner_m * (1 + attempt)
         try:
-            sections = _guess_sections(task, space, extra_m)
+            sections = _guess_sections(task, space, names, extra_m)
         except InfeasibleError:
             if attempt > 0:
                 break  # there is a way, but no room to hold it closer
             extra_m = settings.waypoint_tolerance_m
-            sections = _guess_sections(task, space, extra_m)
+            sections = _guess_sections(task, space, names, extra_m)
         price = price_of(extra_m)
         family = _cheapest_family(sections, _corner_m(task) / 2**attempt, price)
         result = _search(family, price, settings, rng, on_iteration if attempt == 0 else None)
@@ -203,7 +206,9 @@ def _flyable_legs(
     )
 
 
-def _guess_sections(task: VehicleTask, space: SpaceArrays, extra_m: float) -> list[list[FloatArray]]:
+def _guess_sections(
+    task: VehicleTask, space: SpaceArrays, names: tuple[str, ...], extra_m: float
+) -> list[list[FloatArray]]:
     """Return, for each pair of consecutive route points, clear polylines (K, 3) between them, the shortest first."""
     limits = replace(
         task.limits,
@@ -214,14 +219,11 @@ def _guess_sections(task: VehicleTask, space: SpaceArrays, extra_m: float) -> li
     )
     sections = []
     for index, (start, goal) in enumerate(pairwise(task.route_m)):
-        straight = np.stack([start, goal])
-        leg = straight[np.newaxis]
-        if legs_clear(space, Margins.of(limits, extra_m), leg)[0] and legs_within_angles(limits, leg)[0]:
-            sections.append([straight])
-            continue
         try:
             sections.append(
-                first_guesses(space, limits, start, goal, count=_GUESSES_PER_SECTION, clearance_extra_m=extra_m)
+                first_guesses(
+                    space, limits, start, goal, count=_GUESSES_PER_SECTION, clearance_extra_m=extra_m, names=names
+                )
             )
         except InfeasibleError as error:
             raise InfeasibleError(f"{task.name}: no way from stop {index} to stop {index + 1}: {error}") from error

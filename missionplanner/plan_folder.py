@@ -8,6 +8,7 @@ carry over a verdict that no longer holds. The format is described in docs/PLAN_
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -23,8 +24,9 @@ from missionplanner.path import length_m
 from missionplanner.path_search import PlannedPath
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownVehicle, Trajectory, VehiclePlan
 from missionplanner.planner import Schedule
-from missionplanner.scene import TERRAIN_NAME, Scene, build_scene, portable_mission
+from missionplanner.scene import TERRAIN_NAME, Scene, VehicleTask, build_scene, portable_mission
 from missionplanner.terrain import write_raster
+from missionplanner.timing import SPEED_STEP_M_S
 
 PLAN_NAME = "plan.json"
 FLIGHT_NAME = "flight.json"
@@ -32,7 +34,11 @@ FORMAT = "missionplanner-plan"
 FLIGHT_FORMAT = "missionplanner-flight"
 VERSION = 1
 
-Vector = tuple[float, float, float]
+Coordinate = Annotated[float, Field(ge=-2e5, le=2e5)]
+"""Further from the origin, a number is a slip; and predicting a flight there would take days."""
+
+Vector = tuple[Coordinate, Coordinate, Coordinate]
+_AT_STOP_M = 0.01
 
 
 class _Record(BaseModel):
@@ -76,6 +82,7 @@ class _FlightRecord(_Record):
 class _PlanRecord(_Record):
     format: Literal["missionplanner-plan"]
     version: Literal[1]
+    software_version: str
     seed: int
     input_sha256: str
     mission: dict[str, Any]
@@ -130,10 +137,14 @@ def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
     names = [task.name for task in scene.tasks]
     if [vehicle.name for vehicle in record.vehicles] != names:
         raise MissionError(f"{path}: expected plans for {', '.join(names)}, got others: plan the mission again")
+    for index, (task, vehicle) in enumerate(zip(scene.tasks, record.vehicles, strict=True)):
+        problem = _misfit(task, vehicle, index * mission.fleet.launch_interval_s)
+        if problem is not None:
+            raise MissionError(f"{path}: {task.name}: expected {problem}: plan the mission again")
     paths = [_path(vehicle) for vehicle in record.vehicles]
     schedules = [Schedule(v.start_delay_s, v.speed_m_s, v.window_s) for v in record.vehicles]
     plan = planner.assemble(scene, paths, schedules, record.arrival_s, record.seed)
-    return scene, proof.checked(scene, plan)
+    return scene, proof.checked(scene, replace(plan, software_version=record.software_version))
 
 
 def save_flight(folder: Path, flight: FleetFlight) -> Path:
@@ -204,6 +215,26 @@ def _read(path: Path, kind: type[_AnyRecord], remedy: str) -> _AnyRecord:
         f"{path}: expected what this program wrote (version {VERSION}), got a damaged file or another's ({problem}): "
         f"{remedy}"
     )
+
+
+def _misfit(task: VehicleTask, record: _VehicleRecord, delay_min_s: float) -> str | None:
+    """Return what the mission expects of a vehicle and its record does not keep; None if it keeps all."""
+    low, high = task.limits.speed_min_m_s, task.limits.speed_max_m_s
+    if not low - SPEED_STEP_M_S <= record.speed_m_s <= high + SPEED_STEP_M_S:
+        return f"a speed of {low:g} to {high:g} m/s, got {record.speed_m_s:g}"
+    if record.start_delay_s < delay_min_s:
+        return f"a start {delay_min_s:g} s after mission start (fleet.launch_interval_s), got {record.start_delay_s:g}"
+    waypoints_m = np.array([w.position_m for w in record.waypoints])
+    last = len(task.route_m) - 1
+    names = ["the top of the take-off", *(f"stop {k}" for k in range(1, last)), "the goal"]
+    begin = 0
+    for stop, (name, point_m) in enumerate(zip(names, task.route_m, strict=True)):
+        near = np.linalg.norm(waypoints_m - point_m, axis=1) <= _AT_STOP_M
+        at = begin + int(np.argmax(near[begin:])) if near[begin:].any() else -1
+        if at < 0 or (stop == 0 and at != 0) or (stop == last and not near[-1]):
+            return f"waypoints from the top of the take-off through every stop to the goal, got none at {name}"
+        begin = at + 1
+    return None
 
 
 def _path(record: _VehicleRecord) -> PlannedPath:

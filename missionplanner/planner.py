@@ -67,7 +67,7 @@ def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = N
     generators = np.random.default_rng(seed).spawn(len(scene.tasks))
     paths: list[PlannedPath] = []
     for index, task in enumerate(scene.tasks):
-        paths.append(_path(scene, scene.space, task, paths, generators[index], watch))
+        paths.append(_path(scene, [], task, paths, generators[index], watch))
 
     delays_s = [index * scene.mission.fleet.launch_interval_s for index in range(len(paths))]
     avoided: list[list[CableSolid]] = [[] for _ in paths]
@@ -85,10 +85,10 @@ def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = N
         for index in (conflict.second, conflict.first) if round_ % 2 == 0 else (conflict.first, conflict.second):
             other = plan.vehicles[conflict.first if index == conflict.second else conflict.second]
             flight = _flight_around(other, conflict, scene.tasks[index])
-            space = _with(scene.space, [*avoided[index], *flight])
+            solids = [*avoided[index], *flight]
             fellows = [path for k, path in enumerate(paths) if k != index]
             try:
-                paths[index] = _path(scene, space, scene.tasks[index], fellows, generators[index], watch)
+                paths[index] = _path(scene, solids, scene.tasks[index], fellows, generators[index], watch)
             except InfeasibleError:
                 continue
             avoided[index] += flight
@@ -215,13 +215,18 @@ def _goal_ground(scene: Scene, task: VehicleTask) -> float:
 
 def _path(
     scene: Scene,
-    space: SpaceArrays,
+    avoided: Sequence[CableSolid],
     task: VehicleTask,
     fellows: Sequence[PlannedPath],
     rng: np.random.Generator,
     watch: Watch | None,
 ) -> PlannedPath:
-    """Return one vehicle's path; the ways of ``fellows`` are priced as if all flew evenly and arrived together."""
+    """Return one vehicle's path around all that stands still and what is to be ``avoided``.
+
+    The ways of ``fellows`` are priced as if all flew evenly and arrived together.
+    """
+    space = _with(scene.space, avoided)
+    names = (*scene.obstacles.names, *(solid.name for solid in avoided))
     fellows_m = np.stack([evenly(f.path_m, _FELLOW_INSTANTS) for f in fellows]) if fellows else None
     margins = Margins.of(task.limits)
     unvisited = _unvisited(scene)
@@ -247,7 +252,7 @@ def _path(
         return bool(proof.all_clear(space, margins, polyline_legs(airborne.position_m)))
 
     on_iteration = None if watch is None else lambda done: watch(task.name, done)
-    return find_path(task, space, price_of, scene.mission.planner, rng, flown_is_clear, on_iteration)
+    return find_path(task, space, names, price_of, scene.mission.planner, rng, flown_is_clear, on_iteration)
 
 
 def _unvisited(scene: Scene) -> Towers | None:

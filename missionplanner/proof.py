@@ -7,18 +7,23 @@ sampled every 0.1 m of the interpolated elevation model. Missing terrain counts 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from missionplanner import kernels, timing
-from missionplanner.clearance import Margins, legs_clear, polyline_legs
+from missionplanner.clearance import Margins, legs_clear, legs_within_angles, polyline_legs
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, Trajectory, VehiclePlan
 from missionplanner.scene import Scene, VehicleTask
 
 TERRAIN_STEP_M = 0.1
+ARRIVAL_ERROR_MAX_S = 0.5
+"""How far a predicted arrival may be from the common one."""
+
+_ANGLE_SLACK_RAD = 1e-5
 _COLUMN_M = 1.0
 """Horizontal distance from the pad within which a path counts as a vertical take-off or landing."""
 
@@ -67,10 +72,58 @@ def unsafe(scene: Scene, plan: FleetPlan) -> list[str]:
                 f"{vehicle.name}: flies {airborne_s:.0f} s, longer than its endurance of "
                 f"{task.limits.endurance_s:g} s: give it fewer stops, a higher speed or a later start"
             )
+        steep = np.flatnonzero(~legs_within_angles(task.limits, polyline_legs(vehicle.waypoints_m), _ANGLE_SLACK_RAD))
+        if steep.size:
+            reasons.append(
+                f"{vehicle.name}: the leg from waypoint {steep[0]} to {steep[0] + 1} is steeper than it may climb "
+                f"({np.degrees(task.limits.climb_angle_rad):.0f} degrees) or descend "
+                f"({np.degrees(task.limits.descent_angle_rad):.0f} degrees)"
+            )
+    reasons += _not_together(scene, plan)
+    if scene.towers is not None:
+        share = inspected_share(scene, [vehicle.waypoints_m for vehicle in plan.vehicles])
+        if share < scene.towers.share_min:
+            reasons.append(
+                f"inspection: the fleet passes {share:.0%} of the towers' weight within {scene.towers.range_m:g} m, "
+                f"expected {scene.towers.share_min:.0%}: let vehicles inspect the others, or lower inspection.share_min"
+            )
     if plan.separation is not None and not plan.separation.ok:
         c = plan.separation
         reasons.append(f"{c.what}: {c.distance_m:.1f} m apart at {c.t_s:.0f} s, expected {c.required_m:g} m")
     return reasons
+
+
+def _not_together(scene: Scene, plan: FleetPlan) -> list[str]:
+    """Return who does not arrive with the fleet although the mission asks for it (eq. 10)."""
+    fleet = scene.mission.fleet
+    if not fleet.arrive_together:
+        return []
+    if plan.arrival_s is None:
+        return ["the fleet has no common arrival, although the mission asks for one"]
+    if fleet.arrival_time_s is not None and abs(plan.arrival_s - fleet.arrival_time_s) > ARRIVAL_ERROR_MAX_S:
+        return [f"the fleet arrives at {plan.arrival_s:.1f} s, expected fleet.arrival_time_s {fleet.arrival_time_s:g}"]
+    return [
+        f"{vehicle.name}: arrives at {vehicle.arrival_s:.1f} s, expected with the fleet at {plan.arrival_s:.1f} s: ask "
+        "for another fleet.arrival_time_s"
+        for vehicle in plan.vehicles
+        if abs(vehicle.arrival_s - plan.arrival_s) > ARRIVAL_ERROR_MAX_S
+    ]
+
+
+def inspected_share(scene: Scene, lines_m: Sequence[FloatArray]) -> float:
+    """Return the share of the towers' weight that polylines (N, 3) pass within range (PAPER.md eqs 6 and 15)."""
+    towers = scene.towers
+    if towers is None or towers.weight.sum() == 0.0:
+        return 1.0
+    legs = np.concatenate([polyline_legs(line) for line in lines_m])
+    start, along = legs[:, 0], legs[:, 1] - legs[:, 0]
+    square = np.maximum(np.einsum("nk,nk->n", along, along), 1e-12)
+    inspected = np.empty(len(towers.top_m), dtype=bool)
+    for k, top in enumerate(towers.top_m):
+        share = np.clip(np.einsum("nk,nk->n", top - start, along) / square, 0.0, 1.0)
+        nearest_m = np.linalg.norm(start + share[:, np.newaxis] * along - top, axis=1).min()
+        inspected[k] = nearest_m <= towers.range_m
+    return float(towers.weight[inspected].sum() / towers.weight.sum())
 
 
 def worst_conflict(scene: Scene, plan: FleetPlan) -> Conflict | None:
@@ -143,7 +196,8 @@ def check_flight(scene: Scene, plan: FleetPlan, flight: FleetFlight) -> FlightCh
         if up.size == 0:
             found.append(())
             continue
-        track = airborne_part(flown.trajectory, float(flown.trajectory.t_s[up[0]]))
+        drift_m = _COLUMN_M + 2.0 * task.limits.tracking_error_m  # a real descent is not plumb
+        track = airborne_part(flown.trajectory, float(flown.trajectory.t_s[up[0]]), drift_m)
         legs = polyline_legs(track.position_m)
         found.append(worst_of_each(least_clearances(scene.space, scene.obstacles.names, margins, legs)))
     tracks = [vehicle.trajectory for vehicle in flight.vehicles]
@@ -151,10 +205,10 @@ def check_flight(scene: Scene, plan: FleetPlan, flight: FleetFlight) -> FlightCh
     return FlightCheck(tuple(found), _separation(nearest, tracks))
 
 
-def airborne_part(trajectory: Trajectory, airborne_s: float) -> Trajectory:
-    """Return the part between the top of the take-off and the beginning of the vertical descent at the end."""
+def airborne_part(trajectory: Trajectory, airborne_s: float, column_m: float = _COLUMN_M) -> Trajectory:
+    """Return the part between the top of the take-off and the descent at the end, within ``column_m`` of its pad."""
     position = trajectory.position_m
-    away = np.hypot(*(position[:, :2] - position[-1, :2]).T) > _COLUMN_M
+    away = np.hypot(*(position[:, :2] - position[-1, :2]).T) > column_m
     last = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
     first = int(np.searchsorted(trajectory.t_s, airborne_s))
     last = max(last, first + 1)

@@ -56,12 +56,12 @@ def vehicle_table(summary: dict[str, Any]) -> Table:
     """Return one row per vehicle: length, speed, predicted and flown arrival, least clearances."""
     flown = "flown_clear" in summary["fleet"]
     table = Table(
-        title=f"{summary['mission']}, {'flown' if flown else 'planned'}: least distances, and in brackets what they need",
+        title=f"{summary['mission']}, {'flown' if flown else 'planned'} (in brackets: the least distances allowed)",
         box=box.SIMPLE,
         title_justify="left",
         padding=(0, 1),
     )
-    table.add_column("vehicle")
+    table.add_column("vehicle", no_wrap=True, min_width=max(len(row["name"]) for row in summary["vehicles"]))
     for heading in ("length\nm", "speed\nm/s", "window\ns", "arrival\ns", *(["flown\ns"] if flown else [])):
         table.add_column(heading, justify="right", no_wrap=True)
     for heading in ("to ground\nm", "to obstacle\nm"):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -34,7 +35,8 @@ vehicles:
 
 def begin() -> subprocess.Popen[bytes] | None:
     """Start compiling in another process if nothing has been compiled yet; return the process to wait for."""
-    if any(Path(closest_approach.stats.cache_path).glob("*.closest_approach-*.nbi")):
+    cache = closest_approach.stats.cache_path
+    if cache is None or any(Path(cache).glob("*.closest_approach-*.nbi")):
         return None
     return subprocess.Popen([sys.executable, "-m", __name__], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
@@ -44,10 +46,9 @@ def compile_flights_and_checks() -> None:
     scene = build_scene(parse_mission(_MISSION, "warmup"), Path())
     paths = []
     for task in scene.tasks:
-        margins = Margins.of(task.limits)
         path_m = np.concatenate([np.linspace(a, b, 20)[i > 0 :] for i, (a, b) in enumerate(pairwise(task.route_m))])
         stops = np.array([0, len(path_m) - 1])
-        waypoints_m = fit_waypoints(path_m, stops, 2.0, lambda legs, m=margins: legs_clear(scene.space, m, legs))
+        waypoints_m = fit_waypoints(path_m, stops, 2.0, partial(legs_clear, scene.space, Margins.of(task.limits)))
         assert waypoints_m is not None
         paths.append(PlannedPath(path_m, waypoints_m, 0.0, 0.0, {}, np.zeros(0), 0))
     schedules, arrival_s = planner.schedule(scene, paths, [0.0, 0.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -16,6 +17,7 @@ from missionplanner.motion.routes import Route
 from missionplanner.motion.state import (
     ARDUCOPTER,
     BRAKED,
+    BY_ALTITUDE,
     CLIMB,
     COUNT,
     DESCENT,
@@ -101,9 +103,10 @@ class Navigator:
         speed_m_s: npt.ArrayLike,
         hold_s: npt.ArrayLike | None = None,
         vertical_m_s: npt.ArrayLike | None = None,
+        by_altitude: npt.ArrayLike | None = None,
     ) -> None:
         """Fly vehicle ``i`` from where it is through points (W, 3), stopping at the last. See :class:`Route`."""
-        new = Route.through(points_m, speed_m_s, hold_s, vertical_m_s)
+        new = Route.through(points_m, speed_m_s, hold_s, vertical_m_s, by_altitude)
         count = len(new.points_m)
         n, room, _ = self._routes.shape
         if count > room:
@@ -116,6 +119,7 @@ class Navigator:
         rows[:count, SPEED] = new.speed_m_s
         rows[:count, HOLD] = new.hold_s
         rows[:count, VERTICAL] = new.vertical_m_s
+        rows[:count, BY_ALTITUDE] = new.by_altitude
         self._integers[i, COUNT] = count
         self._integers[i, [WAYPOINT, PHASE, HALTED]] = 0, STARTING, 0
         self._floats[i, [ELAPSED, BRAKED, NEW_SPEED]] = 0.0, 0.0, np.nan
@@ -134,9 +138,25 @@ class Navigator:
         """Go on along the route."""
         self._integers[i, HALTED] = 0
 
+    def rest(self, i: int) -> None:
+        """Stand still at once, for a plane that has come down: it has no route until ``follow``."""
+        self._integers[i, [COUNT, WAYPOINT, PHASE]] = 0, 0, IDLE
+        self._floats[i, VELOCITY : VELOCITY + 3] = 0.0
+
     def step(self) -> None:
         """Advance all vehicles by :data:`TICK_S`."""
         _run(self._floats, self._integers, self._routes, 1, TICK_S, _NOWHERE)
+
+    def linger(self, duration_s: float) -> Trajectory:
+        """Stay with the only vehicle for whole ticks, at least ``duration_s``; return its motion, timed from now."""
+        assert len(self._floats) == 1
+        ticks = math.ceil(duration_s / TICK_S - 1e-9)
+        stayed = np.empty((ticks + 1, 3))
+        stayed[0] = self.position_m[0]
+        for tick in range(1, ticks + 1):
+            self.step()
+            stayed[tick] = self.position_m[0]
+        return Trajectory(TICK_S * np.arange(ticks + 1, dtype=float), stayed)
 
     def fly(self, route: Route) -> tuple[Trajectory, FloatArray]:
         """Fly the only vehicle along a route until it has finished; return its motion and the times (W,) of the points.
@@ -164,13 +184,14 @@ def predict(
     speed_m_s: npt.ArrayLike,
     hold_s: npt.ArrayLike | None = None,
     vertical_m_s: npt.ArrayLike | None = None,
+    by_altitude: npt.ArrayLike | None = None,
 ) -> tuple[Trajectory, FloatArray]:
     """Return the flight from rest at ``start_m`` through points (W, 3), and the times (W,) at which they are reached.
 
     Times count from the start. The motion is bit for bit that of a :class:`Navigator` stepped by :data:`TICK_S`.
     """
     navigator = Navigator([model], np.asarray(start_m, dtype=float).reshape(1, 3))
-    return navigator.fly(Route.through(points_m, speed_m_s, hold_s, vertical_m_s))
+    return navigator.fly(Route.through(points_m, speed_m_s, hold_s, vertical_m_s, by_altitude))
 
 
 def _sources() -> int:

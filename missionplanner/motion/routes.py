@@ -17,6 +17,7 @@ _PX4_DISARM_S = 2.5  # from touch-down to motors off
 _SLOW_BELOW_M = 10.0  # LAND_ALT_LOW, MPC_LAND_ALT1: the descent slows down this high above the ground
 _RTL_SPEED_M_S = 10.0  # RTL_SPEED = 0: WPNAV_SPEED, whatever speed the mission has set
 _RTL_HEIGHT_M = {"ardupilot": 15.0, "px4": 60.0}  # RTL_ALT, RTL_RETURN_ALT
+_RTL_CIRCLE_HEIGHT_M = 100.0  # a plane's, whether it comes from above or below: RTL_ALTITUDE, RTL_DESCEND_ALT
 _RTL_WAIT_S = {"ardupilot": 5.0, "px4": 0.0}  # RTL_LOIT_TIME, RTL_LAND_DELAY
 
 
@@ -24,13 +25,15 @@ class Route(NamedTuple):
     """Legs to fly one after the other; ``Navigator.follow(i, *route)`` flies them.
 
     ``points_m`` (W, 3), ``speed_m_s`` (W,) horizontal speed of the leg *to* each point, ``hold_s`` (W,) time to stand
-    still at each point, ``vertical_m_s`` (W,) upper bound on the climb and descent rate of each leg.
+    still at each point, ``vertical_m_s`` (W,) upper bound on the climb and descent rate of each leg, ``by_altitude``
+    (W,) whether a plane has reached the point once it is as high or low as that, wherever: take-off and landing.
     """
 
     points_m: FloatArray
     speed_m_s: FloatArray
     hold_s: FloatArray
     vertical_m_s: FloatArray
+    by_altitude: FloatArray
 
     @classmethod
     def through(
@@ -39,6 +42,7 @@ class Route(NamedTuple):
         speed_m_s: npt.ArrayLike,
         hold_s: npt.ArrayLike | None = None,
         vertical_m_s: npt.ArrayLike | None = None,
+        by_altitude: npt.ArrayLike | None = None,
     ) -> Route:
         """Return a route through points (W, 3); scalars hold for every leg. No hold, no vertical bound by default."""
         points = np.array(points_m, dtype=float).reshape(-1, 3)
@@ -46,18 +50,21 @@ class Route(NamedTuple):
         def each(value: npt.ArrayLike | None, default: float) -> FloatArray:
             return np.array(np.broadcast_to(np.asarray(default if value is None else value, dtype=float), len(points)))
 
-        return cls(points, each(speed_m_s, 0.0), each(hold_s, 0.0), each(vertical_m_s, math.inf))
+        return cls(
+            points, each(speed_m_s, 0.0), each(hold_s, 0.0), each(vertical_m_s, math.inf), each(by_altitude, 0.0)
+        )
 
 
-def takeoff_points(model: MotionModel, home_m: npt.ArrayLike, top_m: npt.ArrayLike, speed_m_s: float = 15.0) -> Route:
+def takeoff_points(model: MotionModel, home_m: npt.ArrayLike, top_m: npt.ArrayLike) -> Route:
     """Return the take-off from rest at ``home_m`` (3,) to ``top_m`` (3,): a copter's is vertical.
 
-    ``speed_m_s`` is a plane's airspeed. A copter's route has one more point at its beginning: the wait for the motors.
+    A plane rolls towards the top and climbs straight on until it is as high, at its cruise speed: the mission's comes
+    after the take-off. A copter's route has one more point at its beginning: the wait for the motors.
     """
     home = np.asarray(home_m, dtype=float)
     top = np.asarray(top_m, dtype=float)
     if model.vehicle_class == "plane":
-        return Route.through([top], speed_m_s)
+        return Route.through([top], model.cruise_speed_m_s, by_altitude=1.0)
     if model.autopilot == "ardupilot":
         return Route.through([home, top], model.climb_rate_m_s, [_ARDUCOPTER_SPOOL_S, 0.0])
     knee = np.array([home[0], home[1], min(home[2] + _SLOW_BELOW_M, top[2])])  # MPC_TKO_SPEED up to here
@@ -67,11 +74,11 @@ def takeoff_points(model: MotionModel, home_m: npt.ArrayLike, top_m: npt.ArrayLi
 def landing_points(model: MotionModel, from_m: npt.ArrayLike, ground_amsl_m: float, speed_m_s: float = 15.0) -> Route:
     """Return the landing straight below ``from_m`` (3,), up to the moment the motors stop.
 
-    A plane, which nobody should ask for this, circles down at ``speed_m_s``.
+    A plane glides towards that place at ``speed_m_s`` and straight on beyond it until it meets the ground.
     """
     start = np.asarray(from_m, dtype=float)
     if model.vehicle_class == "plane":
-        return Route.through([[start[0], start[1], ground_amsl_m]], speed_m_s)
+        return Route.through([[start[0], start[1], ground_amsl_m]], speed_m_s, by_altitude=1.0)
     slow = (
         [(_SLOW_BELOW_M, math.inf), (0.0, 0.5)]  # LAND_SPEED
         if model.autopilot == "ardupilot"
@@ -85,15 +92,15 @@ def landing_points(model: MotionModel, from_m: npt.ArrayLike, ground_amsl_m: flo
     return Route.through(points, model.descent_rate_m_s, hold_s, [rate for _, rate in legs])
 
 
-def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLike, speed_m_s: float = 15.0) -> Route:
+def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLike) -> Route:
     """Return the way home (RTL): up to the return height if below it, straight home, wait, land.
 
-    ``speed_m_s`` is a plane's airspeed; a plane stays above its home.
+    A plane climbs or sinks on the way, at its cruise speed, and then circles above home: nobody lands it.
     """
     start = np.asarray(from_m, dtype=float)
     home = np.asarray(home_m, dtype=float)
     if model.vehicle_class == "plane":
-        return Route.through([[home[0], home[1], max(start[2], home[2] + 100.0)]], speed_m_s)  # RTL_ALTITUDE
+        return Route.through([[home[0], home[1], home[2] + _RTL_CIRCLE_HEIGHT_M]], model.cruise_speed_m_s)
     height = max(start[2], home[2] + _RTL_HEIGHT_M[model.autopilot])
     above = np.array([home[0], home[1], height])
     way = Route.through(
