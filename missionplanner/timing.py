@@ -27,6 +27,8 @@ SPEED_STEP_M_S = 1e-4
 ARRIVAL_TOLERANCE_S = 0.05
 """How close to the time asked for a solved speed brings the predicted arrival."""
 
+_HOVER_S = 5.0
+
 
 def predict_flight(
     model: MotionModel,
@@ -37,23 +39,35 @@ def predict_flight(
     end: Ending = "loiter",
     ground_amsl_m: float = 0.0,
     start_delay_s: float = 0.0,
+    until_s: float = 0.0,
 ) -> tuple[Trajectory, FloatArray]:
     """Return the whole flight and the times (W,) at which ``waypoints_m`` (W, 3) are reached, both with the delay.
 
-    From rest at ``home_m`` (3,) up to the first waypoint, along the legs at one speed, then the end; ``ground_amsl_m``
-    is the ground under the last waypoint (for ``end="land"``). Arrival is the last waypoint's time.
+    From rest at ``home_m`` (3,) up to the first waypoint, along the legs at one speed, then the end. Arrival is the
+    last waypoint's time. A vehicle that stays in the air at its end is followed until it has settled there (a plane:
+    has circled twice), and at least until ``until_s``.
+
+    Parameters
+    ----------
+    ground_amsl_m : the ground under the last waypoint, for ``end="land"``
+    start_delay_s : time at home before the start
+    until_s : time up to which the flight is of interest; one that has landed stays where it is anyway
     """
     home = np.asarray(home_m, dtype=float)
     waypoints = np.asarray(waypoints_m, dtype=float).reshape(-1, 3)
     navigator = Navigator([model], home[None])
     parts, reached_s = _outbound(navigator, model, home, waypoints, speed_m_s)
-    if end != "loiter":
-        way = (
-            landing_points(model, waypoints[-1], ground_amsl_m, speed_m_s)
-            if end == "land"
-            else return_points(model, navigator.position_m[0], home, speed_m_s)
-        )
-        parts.append(navigator.fly(way)[0])
+    match end:
+        case "land":
+            way = landing_points(model, waypoints[-1], ground_amsl_m, speed_m_s)
+        case "rtl":
+            way = return_points(model, navigator.position_m[0], home)
+        case "loiter":
+            way = Route.through(waypoints[-1:], speed_m_s)
+    parts.append(navigator.fly(way)[0])
+    if end == "loiter" or (end == "rtl" and model.vehicle_class == "plane"):
+        flown_s = start_delay_s + sum(float(part.t_s[-1]) for part in parts)
+        parts.append(navigator.linger(max(_settling_s(model, float(way.speed_m_s[-1])), until_s - flown_s)))
     t_s = [np.zeros(1)] if start_delay_s > 0.0 else []
     position_m = [home[None]] if start_delay_s > 0.0 else []
     begin_s = start_delay_s
@@ -65,13 +79,18 @@ def predict_flight(
     return Trajectory(np.concatenate(t_s), np.concatenate(position_m)), reached_s + start_delay_s
 
 
+def _settling_s(model: MotionModel, speed_m_s: float) -> float:
+    """Return how long a vehicle is followed that stays at its end."""
+    return _HOVER_S if model.vehicle_class == "copter" else 2.0 * (2.0 * math.pi * model.loiter_radius_m / speed_m_s)
+
+
 def _outbound(
     navigator: Navigator, model: MotionModel, home: FloatArray, waypoints: FloatArray, speed_m_s: float
 ) -> tuple[list[Trajectory], FloatArray]:
     """Fly take-off and legs; return their trajectories and when the waypoints were reached, without delay."""
-    takeoff, times = navigator.fly(takeoff_points(model, home, waypoints[0], speed_m_s))
+    takeoff, times = navigator.fly(takeoff_points(model, home, waypoints[0]))
     parts = [takeoff]
-    reached_s = np.array([times[-1]])
+    reached_s = times[-1:]
     if len(waypoints) > 1:
         legs, times = navigator.fly(Route.through(waypoints[1:], speed_m_s))
         parts.append(legs)

@@ -17,6 +17,11 @@ VehicleClass = Literal["copter", "plane"]
 Ending = Literal["land", "rtl", "loiter"]
 
 
+TAKEOFF_ACCELERATION_M_S2 = 5.0
+LIFT_OFF_SHARE = 0.8
+"""A plane rolls at full throttle up to this share of its cruise speed, then climbs (ArduPlane 4.5 in SITL)."""
+
+
 @dataclass(frozen=True, slots=True)
 class MotionModel:
     """What the navigator of one vehicle does with a path; the planner's clock and the simulator share it."""
@@ -32,6 +37,11 @@ class MotionModel:
     # planes only
     cruise_speed_m_s: float = 22.0  # while no mission says otherwise: on take-off and on the way home
     loiter_radius_m: float = 60.0
+
+    def takeoff_distance_m(self, height_m: float) -> float:
+        """Return how far from its home a plane that climbs at its greatest rate has gained a height."""
+        roll_m = (LIFT_OFF_SHARE * self.cruise_speed_m_s) ** 2 / (2.0 * TAKEOFF_ACCELERATION_M_S2)
+        return roll_m + height_m * self.cruise_speed_m_s / self.climb_rate_m_s
 
 
 @dataclass(frozen=True, slots=True)

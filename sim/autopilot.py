@@ -380,15 +380,19 @@ class Autopilot:
 
     def _touch_down(self, now_s: float) -> None:
         self.landed = True
+        if self.personality.vehicle_class == "plane":
+            self._navigator.rest(self._index)
         self._airborne_s += now_s - self._airborne_since_s
         self._airborne_since_s = math.inf
         self._idle_since_s = now_s
 
     def _fall(self, now_s: float) -> None:
         x, y, _ = self.position_m
-        self._navigator.follow(
-            self._index, *Route.through([[x, y, self._ground(float(x), float(y))]], 1.0, vertical_m_s=20.0)
-        )
+        ground_amsl_m = self._ground(float(x), float(y))
+        if self.personality.vehicle_class == "plane":  # which nobody sees falling
+            self._navigator.position_m[self._index, 2] = ground_amsl_m
+        else:
+            self._navigator.follow(self._index, *Route.through([[x, y, ground_amsl_m]], 1.0, vertical_m_s=20.0))
         self._touch_down(now_s)
         self._say(mavlink.MAV_SEVERITY_EMERGENCY, "Disarmed in the air")
 
@@ -474,7 +478,7 @@ class Autopilot:
 
     def _climb(self, top_m: FloatArray, seq: int) -> _Stage:
         here = self.position_m
-        route = takeoff_points(self._motion, here, top_m, self._speed_m_s)
+        route = takeoff_points(self._motion, here, top_m)
         if not self.landed:
             route = Route.through([top_m], self._speed_m_s)
         return _Stage(_Doing.CLIMB, route, (-1,) * (len(route.points_m) - 1) + (seq,))
@@ -485,7 +489,7 @@ class Autopilot:
         return _Stage(_Doing.LEGS, route, (-1,) * len(route.points_m), done_seq=seq, lands_from=0)
 
     def _return(self, seq: int) -> _Stage:
-        route = return_points(self._motion, self.position_m, self.home_m, self._speed_m_s)
+        route = return_points(self._motion, self.position_m, self.home_m)
         nowhere = (-1,) * len(route.points_m)
         if self.personality.vehicle_class == "plane":  # planes circle above home
             return _Stage(_Doing.LEGS, route, nowhere, math.inf)
@@ -663,11 +667,10 @@ class Autopilot:
     def _land_stages(self, seq: int, item: MissionItem) -> list[_Stage]:
         here, place = self.position_m, self._place(item)
         if self.personality.vehicle_class == "plane":
-            place[2] = self._ground(float(place[0]), float(place[1]))
-            return [_Stage(_Doing.LEGS, self._leg(place), (-1,), done_seq=seq, lands_from=0)]
+            return [self._descent(place, seq)]
         above = np.array([place[0], place[1], here[2]])
         stages = [self._descent(above, seq)]
-        if math.dist(above[:2], here[:2]) > 0.1:
+        if math.dist(above[:2], here[:2]) > self._motion.waypoint_radius_m:
             stages.insert(0, _Stage(_Doing.LEGS, self._leg(above), (-1,)))
         return stages
 

@@ -397,10 +397,11 @@ def _copter_parameters(motion: MotionModel) -> Mapping[str, int | float]:
 
 def _plane_parameters(motion: MotionModel) -> Mapping[str, int | float]:
     return {
-        "AIRSPEED_CRUISE": 22.0,
+        "AIRSPEED_CRUISE": motion.cruise_speed_m_s,
         "AIRSPEED_MIN": 9.0,
         "AIRSPEED_MAX": 30.0,
         "WP_RADIUS": motion.waypoint_radius_m,
+        "WP_LOITER_RAD": motion.loiter_radius_m,
         "TECS_CLMB_MAX": motion.climb_rate_m_s,
         "TECS_SINK_MAX": motion.descent_rate_m_s,
     }
@@ -420,12 +421,13 @@ def _px4_copter_parameters(motion: MotionModel) -> Mapping[str, int | float]:
 
 def _px4_plane_parameters(motion: MotionModel) -> Mapping[str, int | float]:
     return {
-        "FW_AIRSPD_TRIM": 15.0,
+        "FW_AIRSPD_TRIM": motion.cruise_speed_m_s,
         "FW_AIRSPD_MIN": 10.0,
         "FW_AIRSPD_MAX": 20.0,
         "FW_T_CLMB_MAX": motion.climb_rate_m_s,
         "FW_T_SINK_MAX": motion.descent_rate_m_s,
         "NAV_ACC_RAD": motion.waypoint_radius_m,
+        "NAV_LOITER_RAD": motion.loiter_radius_m,
     }
 
 
@@ -482,7 +484,7 @@ _ARDUPLANE = replace(
     cold_start_s=23.0,
     speed_parameter=("AIRSPEED_CRUISE", 1.0),
     motion_parameters=_plane_parameters,
-    parameters=MappingProxyType({"ARMING_CHECK": 1, "MIS_RESTART": 0, "RTL_ALTITUDE": 100.0, "WP_LOITER_RAD": 60}),
+    parameters=MappingProxyType({"ARMING_CHECK": 1, "MIS_RESTART": 0, "RTL_ALTITUDE": 100.0}),
 )
 _PX4_COPTER = Personality(
     autopilot="px4",

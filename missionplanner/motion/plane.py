@@ -44,15 +44,15 @@ from missionplanner.motion.state import (
     IntArray,
     kernel,
 )
+from missionplanner.vehicle import LIFT_OFF_SHARE, TAKEOFF_ACCELERATION_M_S2
 
 _STEP_S = 0.025
 _L1_PERIOD_S = 17.0  # NAVL1_PERIOD
 _L1_DAMPING = 0.75  # NAVL1_DAMPING
 _ROLL_TIME_S = 0.5  # RLL2SRV_TCONST
 _HEIGHT_TIME_S = 2.0  # how fast a height error is flown out
-_ROLL_ACCELERATION_M_S2 = 5.0  # at full throttle, up to
-_LIFT_OFF_SHARE = 0.8  # of the speed commanded
 _AT_ALTITUDE_M = 0.3
+_POINT_M = 1e-6  # a shorter leg has no direction
 
 
 @kernel
@@ -77,17 +77,20 @@ def step(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -> None:
         speed = math.hypot(s[VELOCITY], s[VELOCITY + 1])
         reach_m = max(_L1_DAMPING * _L1_PERIOD_S * speed / math.pi, 1.0)
         wanted = route[w, SPEED] * true_airspeed(s[POSITION + 2])
-        rolling = not circling and route[w, BY_ALTITUDE] > 0.0 and speed < _LIFT_OFF_SHARE * wanted
+        rolling = not circling and route[w, BY_ALTITUDE] > 0.0 and speed < LIFT_OFF_SHARE * wanted
 
-        bearing = math.atan2(route[w, 1] - s[ORIGIN + 1], route[w, 0] - s[ORIGIN])
-        course = math.atan2(s[VELOCITY + 1], s[VELOCITY]) if speed >= 1.0 else bearing
+        course = math.atan2(s[VELOCITY + 1], s[VELOCITY])
+        bearing = course
+        if math.hypot(route[w, 0] - s[ORIGIN], route[w, 1] - s[ORIGIN + 1]) > _POINT_M:
+            bearing = math.atan2(route[w, 1] - s[ORIGIN + 1], route[w, 0] - s[ORIGIN])
+        course = course if speed >= 1.0 else bearing
         turn = _turn_to_circle(s, speed, reach_m) if circling else _turn_to_leg(s, bearing, course, speed, reach_m)
         turn = s[THRUST] + (turn - s[THRUST]) * min(1.0, h / _ROLL_TIME_S)
         widest = speed * speed / max(s[TURN_RADIUS], 1.0)
         s[THRUST] = max(-widest, min(widest, turn))
         if speed >= 1.0:
             course += s[THRUST] / speed * h
-        acceleration = _ROLL_ACCELERATION_M_S2 if rolling else s[ACCELERATION]
+        acceleration = TAKEOFF_ACCELERATION_M_S2 if rolling else s[ACCELERATION]
         speed += max(-acceleration * h, min(acceleration * h, wanted - speed))
         s[VELOCITY] = speed * math.cos(course)
         s[VELOCITY + 1] = speed * math.sin(course)
@@ -158,15 +161,17 @@ def _turn_to_circle(s: FloatArray, speed: float, reach_m: float) -> float:
 
 @kernel
 def _climb_along_leg(s: FloatArray, route: FloatArray, w: int, speed: float) -> float:
-    """Return the rate that holds the leg's slope; beyond its end and on take-off, the one to the end's altitude."""
+    """Return the rate that holds the leg's slope; past its end, the one to its altitude; on take-off, the greatest."""
     lx = route[w, 0] - s[ORIGIN]
     ly = route[w, 1] - s[ORIGIN + 1]
     length_m = math.hypot(lx, ly)
     up_m = route[w, 2] - s[ORIGIN + 2]
     done_m = 0.0
-    if length_m > 1e-6:
+    if route[w, BY_ALTITUDE] > 0.0 and up_m > 0.0:
+        return s[CLIMB]
+    if length_m > _POINT_M:
         done_m = ((s[POSITION] - s[ORIGIN]) * lx + (s[POSITION + 1] - s[ORIGIN + 1]) * ly) / length_m
-    if length_m <= 1e-6 or done_m >= length_m or (route[w, BY_ALTITUDE] > 0.0 and up_m > 0.0):
+    if length_m <= _POINT_M or done_m >= length_m:
         return (route[w, 2] - s[POSITION + 2]) / _HEIGHT_TIME_S
     slope = up_m / length_m
     return slope * speed + (s[ORIGIN + 2] + slope * max(done_m, 0.0) - s[POSITION + 2]) / _HEIGHT_TIME_S

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -169,9 +170,52 @@ def test_a_halted_plane_circles() -> None:
     navigator.follow(0, line(1000.0, 2), 18.0)
     fly_steps(navigator, 400)
     navigator.halt(0)
-    circle = fly_steps(navigator, 1200)[100:, 0]
-    assert np.ptp(circle[:, 0]) == pytest.approx(2 * PLANE.turn_radius_m, rel=0.05)
+    place = navigator.position_m[0].copy()
+    circle = fly_steps(navigator, 2000)[1200:, 0] - place
+    assert np.hypot(circle[:, 0], circle[:, 1]) == pytest.approx(PLANE.loiter_radius_m, rel=0.02)
+    assert circle[:, 2] == pytest.approx(0.0, abs=0.1)
     assert np.linalg.norm(navigator.velocity_m_s[0, :2]) == pytest.approx(18.0, abs=0.1)
+
+
+@pytest.mark.parametrize("radius_m", [60.0, 80.0, 150.0])
+def test_a_plane_circles_to_the_right_around_its_last_waypoint(radius_m: float) -> None:
+    navigator = Navigator([replace(PLANE, loiter_radius_m=radius_m)], [[0, 0, 50]])
+    navigator.fly(Route.through([[800, 100, 70]], 20.0))
+    stay = navigator.linger(120.0)
+    off = stay.position_m[1200:] - [800, 100, 70]
+    assert np.hypot(off[:, 0], off[:, 1]) == pytest.approx(radius_m, rel=0.02)
+    assert off[:, 2] == pytest.approx(0.0, abs=0.1)
+    assert np.all(np.diff(np.unwrap(np.arctan2(off[:, 1], off[:, 0]))) < 0.0)
+    assert np.hypot(*(stay.position_m[:, :2] - [800, 100]).T).max() < radius_m + 55.0
+
+
+def test_a_planes_takeoff_is_as_recorded() -> None:
+    # ArduPlane in SITL, 60 m up: 26 m rolled after 3.3 s; it climbs twice as fast as its climb limit says
+    strong = replace(PLANE, climb_rate_m_s=9.3)
+    flight, reached_s = predict(strong, [0, 0, 584], *takeoff_points(strong, [0, 0, 584], [0, 300, 644]))
+    assert flight.at(3.3)[1] == pytest.approx(27.0, abs=3.0)
+    assert flight.at(3.3)[2] == 584.0
+    assert reached_s[-1] == pytest.approx(10.5, abs=1.3)
+    assert flight.position_m[-1, 1] == pytest.approx(197.0, abs=20.0)
+    assert flight.position_m[-1, 2] == pytest.approx(644.0, abs=0.5)
+
+
+def test_a_plane_lands_where_its_glide_meets_the_ground_and_rests() -> None:
+    start, place = [0.0, 0.0, 160.0], [900.0, 0.0, 100.0]
+    navigator = Navigator([PLANE], [start])
+    navigator.velocity_m_s[0] = [18.0, 0.0, 0.0]
+    glide, _ = navigator.fly(landing_points(PLANE, [place[0], place[1], 160.0], place[2], 18.0))
+    assert glide.position_m[-1] == pytest.approx(place, abs=60.0)
+    assert glide.position_m[-1, 2] == pytest.approx(100.0, abs=0.5)
+    navigator.rest(0)
+    assert np.ptp(fly_steps(navigator, 50)[:, 0], axis=0) == pytest.approx(np.zeros(3))
+
+
+def test_a_plane_returns_to_a_fixed_height_above_home() -> None:
+    for height_m in (50.0, 300.0):
+        navigator = Navigator([PLANE], [[1500, 0, height_m]])
+        navigator.fly(return_points(PLANE, [1500, 0, height_m], [0, 0, 20]))
+        assert navigator.linger(60.0).position_m[-1, 2] == pytest.approx(120.0, abs=0.5)
 
 
 @pytest.mark.parametrize("model", ALL)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ from missionplanner.timing import (
     predict_flight,
     speed_for_arrival,
 )
-from missionplanner.vehicle import MotionModel
+from missionplanner.vehicle import Ending, MotionModel
 
 COPTER = MotionModel("ardupilot", "copter", 2.5, 1.0, 2.5, 1.5, 2.0, 0.0)
 PX4 = MotionModel("px4", "copter", 3.0, 4.0, 3.0, 1.5, 2.0, 0.0)
@@ -58,7 +60,42 @@ def test_a_plane_flies_its_legs() -> None:
     far = WAYPOINTS * [5, 5, 1] + [400, 0, 0]
     flight, reached_s = predict_flight(PLANE, HOME, far, 18.0)
     assert np.all(np.diff(reached_s) > 0.0)
-    assert flight.t_s[-1] == pytest.approx(reached_s[-1], abs=0.1)
+    stays = flight.position_m[flight.t_s > reached_s[-1] + 35.0] - far[-1]
+    assert len(stays) > 100  # once around at least
+    assert np.hypot(stays[:, 0], stays[:, 1]) == pytest.approx(PLANE.loiter_radius_m, rel=0.02)
+
+
+def test_a_plane_that_returns_circles_above_home() -> None:
+    flight, reached_s = predict_flight(PLANE, HOME, WAYPOINTS * [5, 5, 1] + [400, 0, 0], 18.0, end="rtl")
+    assert flight.t_s[-1] > reached_s[-1] + 30.0
+    assert np.hypot(*flight.position_m[-200:, :2].T) == pytest.approx(PLANE.loiter_radius_m, rel=0.02)
+    assert flight.position_m[-1, 2] == pytest.approx(200.0, abs=0.5)
+
+
+def test_a_plane_takes_off_at_its_cruise_speed() -> None:
+    far = WAYPOINTS * [5, 5, 1] + [400, 0, 0]
+    slow, fast = (predict_flight(PLANE, HOME, far, speed)[1] for speed in (14.0, 22.0))
+    assert slow[0] == fast[0]
+    slower = replace(PLANE, cruise_speed_m_s=15.0)
+    assert predict_flight(slower, HOME, far, 22.0)[1][0] != fast[0]
+
+
+@pytest.mark.parametrize(("model", "end"), [(COPTER, "loiter"), (PLANE, "loiter"), (PLANE, "rtl")])
+def test_who_stays_in_the_air_is_followed_as_long_as_asked(model: MotionModel, end: Ending) -> None:
+    flight, _ = predict_flight(model, HOME, WAYPOINTS * [3, 3, 1], 15.0, end=end, start_delay_s=3.0, until_s=400.0)
+    short, _ = predict_flight(model, HOME, WAYPOINTS * [3, 3, 1], 15.0, end=end, start_delay_s=3.0)
+    assert flight.t_s[-1] == pytest.approx(400.0, abs=0.1)
+    assert short.t_s[-1] < 300.0
+    assert np.array_equal(flight.position_m[: len(short.t_s)], short.position_m)
+
+
+def test_px4_settles_at_its_goal_though_it_accepts_it_from_afar() -> None:
+    wide = replace(PX4, waypoint_radius_m=10.0)
+    flight, reached_s = predict_flight(wide, HOME, WAYPOINTS, 8.0, end="loiter")
+    assert np.linalg.norm(flight.at(reached_s[-1]) - WAYPOINTS[-1]) > 5.0
+    assert flight.position_m[-1] == pytest.approx(WAYPOINTS[-1], abs=1.5)
+    landed, _ = predict_flight(wide, HOME, WAYPOINTS, 8.0, end="land", ground_amsl_m=90.0)
+    assert landed.position_m[-1] == pytest.approx([400, 420, 90], abs=0.3)
 
 
 def test_the_window_is_what_the_model_flies() -> None:

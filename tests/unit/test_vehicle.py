@@ -16,7 +16,7 @@ def settings(**fields: object) -> VehicleSettings:
     ("autopilot", "vehicle_class", "expected"),
     [
         ("ardupilot", "copter", (2.5, 1.0, 2.5, 1.5, 2.0, 0.0)),
-        ("px4", "copter", (3.0, 4.0, 3.0, 1.5, 10.0, 0.0)),
+        ("px4", "copter", (3.0, 4.0, 3.0, 1.5, 2.0, 0.0)),
         ("ardupilot", "plane", (1.5, 1.0, 5.0, 5.0, 50.0, 60.0)),
         ("px4", "plane", (1.5, 1.0, 5.0, 5.0, 50.0, 60.0)),
     ],
