@@ -364,7 +364,10 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
 
         fleet_plan = plan_fleet(scene, seed=seed, watch=watch)
     save_plan(folder, scene, fleet_plan)
-    export_fleet(fleet_plan, folder / FILES)
+    written = set(export_fleet(fleet_plan, folder / FILES))
+    for path in (folder / FILES).iterdir():
+        if path.suffix in {".plan", ".waypoints"} and path not in written:
+            path.unlink()  # of an earlier plan: nobody shall upload it by mistake
     return fleet_plan
 
 

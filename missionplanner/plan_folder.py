@@ -93,6 +93,8 @@ class _PlanRecord(_Record):
 def save_plan(folder: Path, scene: Scene, plan: FleetPlan) -> Path:
     """Write the plan and return the path of its ``plan.json``; the same plan gives the same bytes.
 
+    A flight that was recorded of an earlier plan in this folder is removed.
+
     Raises
     ------
     MissionError
@@ -112,6 +114,7 @@ def save_plan(folder: Path, scene: Scene, plan: FleetPlan) -> Path:
         "vehicles": [_vehicle(vehicle, plan.frame) for vehicle in plan.vehicles],
         "mission": mission.model_dump(mode="json", by_alias=True, exclude_unset=True),
     }
+    (folder / FLIGHT_NAME).unlink(missing_ok=True)
     path = folder / PLAN_NAME
     write_atomic(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
     return path
