@@ -23,8 +23,8 @@ kernel = njit(cache=True, error_model="numpy")
 CYLINDER, CONE, RADAR, MARINE, PRISM, CABLE = range(6)
 
 # Columns of `legs_clearance`; "AT" is the place on the leg, from 0 at its first to 1 at its second point.
-HEIGHT_MIN, HEIGHT_MIN_AT, HEIGHT_MAX, OBSTACLE, OBSTACLE_AT, OBSTACLE_INDEX, FENCE, FENCE_AT = range(8)
-CLEARANCE_COLUMNS = 8
+HEIGHT_MIN, HEIGHT_MIN_AT, HEIGHT_MAX, HEIGHT_MAX_AT, OBSTACLE, OBSTACLE_AT, OBSTACLE_INDEX, FENCE, FENCE_AT = range(9)
+CLEARANCE_COLUMNS = 9
 
 # Columns of `price_paths`: what is traded off, then what is forbidden.
 VOYAGE, SMOOTH, INSPECTION, RADAR_ZONE, ATMOSPHERE, CLIMB = range(6)
@@ -425,6 +425,7 @@ def legs_clearance(space: SpaceArrays, legs: FloatArray, step_m: float) -> Float
         out[HEIGHT_MIN] = np.inf
         out[HEIGHT_MIN_AT] = 0.0
         out[HEIGHT_MAX] = -np.inf
+        out[HEIGHT_MAX_AT] = 0.0
         for k in range(pieces + 1):
             s = k / pieces
             height = leg[0, 2] + s * ez - terrain_height(space.terrain, leg[0, 0] + s * ex, leg[0, 1] + s * ey)
@@ -432,8 +433,11 @@ def legs_clearance(space: SpaceArrays, legs: FloatArray, step_m: float) -> Float
                 out[HEIGHT_MIN] = -np.inf
                 out[HEIGHT_MIN_AT] = s
                 out[HEIGHT_MAX] = np.inf
+                out[HEIGHT_MAX_AT] = s
                 break
-            out[HEIGHT_MAX] = max(out[HEIGHT_MAX], height)
+            if height > out[HEIGHT_MAX]:
+                out[HEIGHT_MAX] = height
+                out[HEIGHT_MAX_AT] = s
             if height < out[HEIGHT_MIN]:
                 out[HEIGHT_MIN] = height
                 out[HEIGHT_MIN_AT] = s

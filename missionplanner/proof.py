@@ -163,11 +163,11 @@ def clearances(scene: Scene, task: VehicleTask, plan: VehiclePlan) -> tuple[Clea
     space, names = scene.space, scene.obstacles.names
     margins = Margins.of(task.limits)
     airborne = airborne_part(plan.trajectory, float(plan.reached_s[0]))
-    columns = _columns(plan)
+    anywhere = replace(margins, height_agl_min_m=-np.inf, height_agl_max_m=np.inf, alt_amsl_max_m=np.inf)
     found = [
         *least_clearances(space, names, margins, polyline_legs(plan.waypoints_m)),
         *least_clearances(space, names, margins, polyline_legs(airborne.position_m)),
-        *(c for c in least_clearances(space, names, margins, columns) if c.what not in {"terrain", "ceiling"}),
+        *least_clearances(space, names, anywhere, _columns(plan)),
     ]
     return worst_of_each(found)
 
@@ -278,7 +278,8 @@ def _ceiling(table: FloatArray, margins: Margins, legs: FloatArray) -> list[Clea
     rooms = []
     if np.isfinite(margins.height_agl_max_m):
         high = int(np.argmax(table[:, kernels.HEIGHT_MAX]))
-        rooms.append((margins.height_agl_max_m - float(table[high, kernels.HEIGHT_MAX]), legs[high, 0]))
+        at = legs[high, 0] + table[high, kernels.HEIGHT_MAX_AT] * (legs[high, 1] - legs[high, 0])
+        rooms.append((margins.height_agl_max_m - float(table[high, kernels.HEIGHT_MAX]), at))
     if np.isfinite(margins.alt_amsl_max_m):
         top = np.unravel_index(int(np.argmax(legs[..., 2])), legs.shape[:2])
         rooms.append((margins.alt_amsl_max_m - float(legs[top][2]), legs[top]))
