@@ -7,6 +7,9 @@ The two autopilots want different missions (https://mavlink.io/en/services/missi
 - PX4 has no home item; the take-off is seq 0, at its altitude AMSL. NaN means "leave it to the vehicle" and is needed
   in p4, where 0 would turn the nose north.
 
+Planes are told what they would else take from parameters: how steeply to climb out, when the goal counts as reached (it
+would depend on the item after it), how wide to circle there.
+
 Waypoints are AMSL on both. The speed comes right after the take-off: ArduCopter lost it during the take-off until
 December 2023, and PX4 wants it in MAV_FRAME_MISSION.
 """
@@ -39,6 +42,7 @@ CHANGE_SPEED = 178
 
 _AIRSPEED, _GROUND_SPEED = 0.0, 1.0
 _THROTTLE_UNCHANGED = -1.0
+_CLIMB_OUT_DEG = 15.0  # least pitch; without it ArduPlane takes 4 degrees
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,16 +109,17 @@ def plan_items(vehicle: VehiclePlan, frame: LocalFrame) -> tuple[MissionItem, ..
     ardupilot = vehicle.autopilot == "ardupilot"
     top_m, goal_m = vehicle.waypoints_m[0], vehicle.waypoints_m[-1]
     unset = 0.0 if ardupilot else math.nan
+    plane = vehicle.vehicle_class == "plane"
     accept_m = 0.0 if ardupilot else vehicle.motion.waypoint_radius_m  # ArduCopter drops it
     # a plane flies by airspeed; ArduPlane would take a "ground speed" for its least one
-    speed_type = _AIRSPEED if vehicle.vehicle_class == "plane" else _GROUND_SPEED
+    speed_type = _AIRSPEED if plane else _GROUND_SPEED
 
-    def at(command: int, position_m: FloatArray, param2: float = 0.0, param4: float = unset) -> MissionItem:
+    def at(command: int, position_m: FloatArray, param2: float = 0.0) -> MissionItem:
         point = frame.geo_point(position_m)
         x, y = degrees_to_wire(point.lat_deg), degrees_to_wire(point.lon_deg)
-        return MissionItem(0, FRAME_GLOBAL, command, param2=param2, param4=param4, x=x, y=y, z=point.alt_amsl_m)
+        return MissionItem(0, FRAME_GLOBAL, command, param2=param2, param4=unset, x=x, y=y, z=point.alt_amsl_m)
 
-    takeoff = at(TAKEOFF, top_m)
+    takeoff = replace(at(TAKEOFF, top_m), param1=_CLIMB_OUT_DEG if plane else 0.0)
     if ardupilot:
         takeoff = replace(takeoff, frame=FRAME_RELATIVE, z=float(top_m[2] - vehicle.home_m[2]))
     match vehicle.end:
@@ -123,12 +128,15 @@ def plan_items(vehicle: VehiclePlan, frame: LocalFrame) -> tuple[MissionItem, ..
         case "rtl":
             ending = MissionItem(0, FRAME_MISSION, RETURN_TO_LAUNCH)
         case "loiter":
-            ending = at(LOITER_UNLIMITED, goal_m)
+            radius_m = float(round(vehicle.motion.loiter_radius_m)) if plane else 0.0
+            ending = replace(at(LOITER_UNLIMITED, goal_m), param3=radius_m)
+    goal = at(WAYPOINT, goal_m, float(round(vehicle.motion.waypoint_radius_m)) if plane else accept_m)
     items = [
         *([at(WAYPOINT, vehicle.home_m)] if ardupilot else []),
         takeoff,
         MissionItem(0, FRAME_MISSION, CHANGE_SPEED, speed_type, vehicle.speed_m_s, _THROTTLE_UNCHANGED),
-        *(at(WAYPOINT, waypoint_m, accept_m) for waypoint_m in vehicle.waypoints_m[1:]),
+        *(at(WAYPOINT, waypoint_m, accept_m) for waypoint_m in vehicle.waypoints_m[1:-1]),
+        goal,
         ending,
     ]
     return tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(items))

@@ -296,7 +296,7 @@ class VehicleSettings(Model):
     endurance_s: Positive | None = None
     takeoff_height_m: Positive | None = Field(None, description="climb straight up to this height above home first")
     end: Literal["land", "rtl", "loiter"] | None = Field(
-        None, description="at the goal: land there, return home, or stay; default: copter land, plane loiter"
+        None, description="at the goal: land there (copters), return home, or stay; default: copter land, plane loiter"
     )
     motion: Motion = Motion()
 
@@ -393,6 +393,14 @@ class Mission(Model):
         solids: dict[Location, str] = {("obstacles", i): o.name for i, o in enumerate(self.obstacles)}
         _expect_unique("name", solids | {("inspection", "towers", i): t.name for i, t in enumerate(towers)})
         _expect_unique("sysid", {("vehicles", i): v.sysid or i + 1 for i, v in enumerate(self.vehicles)})
+        return self
+
+    @model_validator(mode="after")
+    def _planes_stay_in_the_air(self) -> Mission:
+        for i, vehicle in enumerate(self.vehicles):
+            if vehicle.vehicle_class == "plane" and vehicle.end == "land":
+                problem = "expected loiter or rtl for a plane, got 'land': no approach is planned; land it by hand"
+                raise _error_at(("vehicles", i, "end"), problem)
         return self
 
     @model_validator(mode="after")

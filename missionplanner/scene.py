@@ -29,7 +29,15 @@ from missionplanner.obstacles import (
     pack,
 )
 from missionplanner.terrain import Rectangle, Terrain
-from missionplanner.vehicle import Ending, MotionModel, VehicleLimits, ending, motion_model, vehicle_limits
+from missionplanner.vehicle import (
+    RETURN_HEIGHT_M,
+    Ending,
+    MotionModel,
+    VehicleLimits,
+    ending,
+    motion_model,
+    vehicle_limits,
+)
 
 TERRAIN_NAME = "terrain.tif"
 """The terrain file of a mission made portable by :func:`portable_mission`."""
@@ -39,6 +47,7 @@ _AREA_ROOM_M, _AREA_ROOM_SHARE = 300.0, 0.2
 _TAKEOFF_ROOM_M = 10.0
 _SAME_PLACE_M = 1.0
 _TOLERANCE_M = 1e-6
+_RUNWAY_RISE_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -366,10 +375,14 @@ class _Builder:
                     f"of {this.what}: remove one"
                 )
             self._check_no_void(this, following)
-        self._check_takeoff(home, route[0], margins, straight_up)
+        model = motion_model(vehicle)
+        self._check_takeoff(home, route[0], margins, None if straight_up else model.takeoff_distance_m(0.0))
         end = ending(vehicle)
         if straight_up and end == "land":
             self._check_landing(route[-1], margins)
+        if not straight_up:
+            circled = route[-1] if end == "loiter" else _Spot(home_what, home + np.array([0.0, 0.0, RETURN_HEIGHT_M]))
+            self._check_circle(circled, model.loiter_radius_m, margins)
         return VehicleTask(
             name=vehicle.name,
             sysid=vehicle.sysid or index + 1,
@@ -377,7 +390,7 @@ class _Builder:
             route_m=np.array([spot.position_m for spot in route]),
             end=end,
             limits=limits,
-            motion=motion_model(vehicle),
+            motion=model,
         )
 
     def _limits(self, vehicle: mission.Vehicle) -> VehicleLimits:
@@ -419,7 +432,8 @@ class _Builder:
             return np.array([x, y, z + height])
         aims = [spot.position_m[:2] - home[:2] for spot in after]
         aim = next((a for a in aims if np.linalg.norm(a) > _SAME_PLACE_M), np.array([0.0, 1.0]))
-        across = aim / np.linalg.norm(aim) * height / math.tan(limits.climb_angle_rad)
+        far_m = max(height / math.tan(limits.climb_angle_rad), motion_model(vehicle).takeoff_distance_m(height))
+        across = aim / np.linalg.norm(aim) * far_m
         return np.array([x + across[0], y + across[1], z + height])
 
     # --- checks of what is asked for
@@ -445,22 +459,33 @@ class _Builder:
                 )
         self._check_leg(spot.what, spot.position_m, spot.position_m, margins)
 
-    def _check_takeoff(self, home: FloatArray, top: _Spot, margins: Margins, straight_up: bool) -> None:
+    def _check_takeoff(self, home: FloatArray, top: _Spot, margins: Margins, roll_m: float | None) -> None:
+        """Check the way up to the first point: straight, or for a plane along the ground for ``roll_m`` first."""
         what = f"{top.what}, the climb to it from home"
-        self._check_leg(what, home, top.position_m, margins)
-        if straight_up:
+        if roll_m is None:
+            self._check_leg(what, home, top.position_m, margins)
             return
+        lift_off = top.position_m - home
+        lift_off = home + lift_off * [1.0, 1.0, 0.0] * roll_m / math.hypot(lift_off[0], lift_off[1])
+        self._check_leg(what, home, lift_off, margins)
+        self._check_leg(what, lift_off, top.position_m, margins)
         # a plane cannot keep the margin before it has climbed to it: its share of the way, its share of the margin
         share = np.linspace(0.0, 1.0, 101)[1:]
-        points = home + share[:, None] * (top.position_m - home)
+        points = lift_off + share[:, None] * (top.position_m - lift_off)
         missing = share * margins.height_agl_min_m - (
             points[:, 2] - self._terrain.height_amsl_m(points[:, 0], points[:, 1])
         )
-        if not missing.max() <= _TOLERANCE_M:
+        if not missing.max() <= _RUNWAY_RISE_M:
             raise MissionError(
                 f"{what}: expected the ground to fall behind, got {np.nanmax(missing):.1f} m too little height along "
                 "the climb: move home, or lower takeoff_height_m"
             )
+
+    def _check_circle(self, center: _Spot, radius_m: float, margins: Margins) -> None:
+        """Check the circle on which a plane stays at its end; its first, wider turn is checked as it is predicted."""
+        what = f"{center.what}, the circle of {radius_m:g} m radius on which it stays"
+        for x, y in _circle(center.position_m[0], center.position_m[1], radius_m).tolist():
+            self._check_spot(_Spot(what, np.array([x, y, center.position_m[2]])), margins)
 
     def _check_landing(self, goal: _Spot, margins: Margins) -> None:
         x, y, _ = goal.position_m.tolist()
@@ -525,6 +550,23 @@ class _Builder:
                 check(i, j, "goal", _apart_across_m(goal_a, goal_b), separation_m)
             elif together or (a.end != "rtl" and b.end != "rtl"):
                 check(i, j, "goal", float(np.linalg.norm(goal_a - goal_b)), separation_m)
+            (place_a, radius_a_m), (place_b, radius_b_m) = _stay(a), _stay(b)
+            across_m = max(0.0, _apart_across_m(place_a, place_b) - radius_a_m - radius_b_m)
+            apart_m = math.hypot(across_m, place_a[2] - place_b[2])
+            if radius_a_m + radius_b_m > 0.0 and apart_m < separation_m - _TOLERANCE_M:
+                raise MissionError(
+                    f"{_named(j, vehicles[j])}: expected to stay at its end at least {separation_m:g} m from "
+                    f"{_named(i, vehicles[i])}, circles of planes included (fleet.separation_m), got {apart_m:.1f} m: "
+                    "move one's goal (with rtl: home), or change its height"
+                )
+
+
+def _stay(task: VehicleTask) -> tuple[FloatArray, float]:
+    """Return where a vehicle is when its mission is over, and the radius of the circle that a plane flies there."""
+    if task.motion.vehicle_class == "copter":
+        return (task.home_m if task.end == "rtl" else task.route_m[-1]), 0.0
+    center = task.route_m[-1] if task.end == "loiter" else task.home_m + np.array([0.0, 0.0, RETURN_HEIGHT_M])
+    return center, task.motion.loiter_radius_m
 
 
 def _named(index: int, vehicle: mission.Vehicle, field: str = "") -> str:

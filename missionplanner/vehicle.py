@@ -21,6 +21,9 @@ TAKEOFF_ACCELERATION_M_S2 = 5.0
 LIFT_OFF_SHARE = 0.8
 """A plane rolls at full throttle up to this share of its cruise speed, then climbs (ArduPlane 4.5 in SITL)."""
 
+RETURN_HEIGHT_M = 100.0
+"""A returned plane circles so high above home, from wherever it comes: RTL_ALTITUDE, RTL_DESCEND_ALT of PX4's planes."""
+
 
 @dataclass(frozen=True, slots=True)
 class MotionModel:
@@ -39,7 +42,7 @@ class MotionModel:
     loiter_radius_m: float = 60.0
 
     def takeoff_distance_m(self, height_m: float) -> float:
-        """Return how far from its home a plane that climbs at its greatest rate has gained a height."""
+        """Return how far from its home a plane that climbs at its greatest rate has gained a height; 0: lifts off."""
         roll_m = (LIFT_OFF_SHARE * self.cruise_speed_m_s) ** 2 / (2.0 * TAKEOFF_ACCELERATION_M_S2)
         return roll_m + height_m * self.cruise_speed_m_s / self.climb_rate_m_s
 

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from missionplanner.geodesy import FloatArray
-from missionplanner.vehicle import MotionModel
+from missionplanner.vehicle import RETURN_HEIGHT_M, MotionModel
 
 _ARDUCOPTER_SPOOL_S = 0.2  # from the command to the first movement, what a smoother start than measured leaves of it
 _PX4_SPOOL_S = 3.7
@@ -17,7 +17,6 @@ _PX4_DISARM_S = 2.5  # from touch-down to motors off
 _SLOW_BELOW_M = 10.0  # LAND_ALT_LOW, MPC_LAND_ALT1: the descent slows down this high above the ground
 _RTL_SPEED_M_S = 10.0  # RTL_SPEED = 0: WPNAV_SPEED, whatever speed the mission has set
 _RTL_HEIGHT_M = {"ardupilot": 15.0, "px4": 60.0}  # RTL_ALT, RTL_RETURN_ALT
-_RTL_CIRCLE_HEIGHT_M = 100.0  # a plane's, whether it comes from above or below: RTL_ALTITUDE, RTL_DESCEND_ALT
 _RTL_WAIT_S = {"ardupilot": 5.0, "px4": 0.0}  # RTL_LOIT_TIME, RTL_LAND_DELAY
 
 
@@ -100,7 +99,7 @@ def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLi
     start = np.asarray(from_m, dtype=float)
     home = np.asarray(home_m, dtype=float)
     if model.vehicle_class == "plane":
-        return Route.through([[home[0], home[1], home[2] + _RTL_CIRCLE_HEIGHT_M]], model.cruise_speed_m_s)
+        return Route.through([[home[0], home[1], home[2] + RETURN_HEIGHT_M]], model.cruise_speed_m_s)
     height = max(start[2], home[2] + _RTL_HEIGHT_M[model.autopilot])
     above = np.array([home[0], home[1], height])
     way = Route.through(

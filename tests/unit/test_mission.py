@@ -115,6 +115,7 @@ def test_missions_made_in_python_share_defaults_too() -> None:
         ("    home: {x_m: 0, y_m: 0}\n", "", "vehicles[0]", "expected home, start or both"),
         ("y_m: 60, alt_amsl_m: 150", "y_m: 60", "vehicles[1].goal", "expected exactly one of alt_amsl_m (above mean s"),
         ("y_m: 60, ", "y_m: 60, height_agl_m: 9, ", "vehicles[1].goal", "expected exactly one of alt_amsl_m"),
+        ("name: bravo", "name: bravo\n    class: plane\n    end: land", "vehicles[1].end", "expected loiter or rtl"),
         ("name: bravo", "name: alpha", "vehicles[1].name", "expected a name of its own, got 'alpha' like vehicles[0]"),
         ("name: school", "name: T2", "inspection.towers[1].name", "expected a name of its own, got 'T2' like obstacle"),
         ("name: bravo", "name: bravo\n    sysid: 1", "vehicles[1].sysid", "expected a sysid of its own, got 1 like ve"),

@@ -46,7 +46,7 @@ def test_px4_has_no_home_and_leaves_the_heading_to_the_vehicle() -> None:
     assert items[0].current == 1
     assert items[0].z == 1230.0
     assert all(math.isnan(item.param4) for item in items if item.command != 178)
-    assert [item.param2 for item in items if item.command == 16] == [10.0, 10.0]
+    assert [item.param2 for item in items if item.command == 16] == [2.0, 2.0]
 
 
 @pytest.mark.parametrize(("end", "command", "frame"), [("land", 21, 0), ("rtl", 20, 2), ("loiter", 17, 0)])
@@ -63,6 +63,16 @@ def test_the_end_follows_the_goal(autopilot: Autopilot, end: Ending, command: in
 def test_planes_fly_by_airspeed(vehicle_class: VehicleClass, kind: float) -> None:
     [speed] = [i for i in plan_items(vehicle_plan(vehicle_class=vehicle_class), FRAME) if i.command == 178]
     assert speed.param1 == kind
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_planes_are_told_what_they_would_take_from_parameters(autopilot: Autopilot) -> None:
+    plan = vehicle_plan(autopilot=autopilot, vehicle_class="plane", end="loiter")
+    items = plan_items(plan, FRAME)
+    takeoff = next(i for i in items if i.command == 22)
+    assert takeoff.param1 == 15.0
+    assert items[-2].param2 == plan.motion.waypoint_radius_m == 50.0
+    assert items[-1].param3 == plan.motion.loiter_radius_m == {"ardupilot": 60.0, "px4": 80.0}[autopilot]
 
 
 def test_items_by_sysid() -> None:

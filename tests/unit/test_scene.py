@@ -128,6 +128,36 @@ def test_a_plane_climbs_towards_its_first_point() -> None:
     assert task.end == "loiter"
     (task,) = scene_of(flying({**plane, "home": at(500, 0)})).tasks  # straight below its goal
     assert task.route_m[0, 1] == pytest.approx(50 / math.tan(math.radians(10)))
+    (task,) = scene_of(flying({**plane, "climb": {"rate_m_s": 3}})).tasks  # rolls, then climbs as steeply as it can
+    assert task.route_m[0, 0] == pytest.approx(17.6**2 / 10 + 50 * 22 / 3)
+
+
+def test_a_planes_circle_must_be_clear() -> None:
+    plane = {"class": "plane", "goal": at(500, 0, agl=60)}
+    mast = {"kind": "cylinder", "name": "mast", "center": at(500, 65), "radius_m": 3}
+    problem = problem_of(flying(plane, obstacles=[mast]))
+    assert (
+        "goal (v0), the circle of 60 m radius on which it stays: expected at least 12.0 m from obstacle mast" in problem
+    )
+    scene_of(flying({**plane, "motion": {"loiter_radius_m": 90}}, obstacles=[mast]))
+    home_mast = {**mast, "center": at(60, 0), "top_height_agl_m": 120}
+    scene_of(flying({**plane, "home": at(0, 300)}, obstacles=[{**home_mast, "center": at(60, 300)}]))
+    returning = {**plane, "home": at(0, 300), "end": "rtl"}
+    problem = problem_of(flying(returning, obstacles=[{**home_mast, "center": at(60, 300)}]))
+    assert "home (v0), the circle of 60 m radius on which it stays" in problem
+
+
+def test_circling_planes_stay_apart() -> None:
+    first = {"class": "plane", "goal": at(600, 0, agl=60)}
+    second = {"class": "plane", "home": at(0, 200), "goal": at(600, 130, agl=60)}
+    problem = problem_of(flying(first, second))
+    assert "(v1): expected to stay at its end at least 20 m from" in problem
+    assert "got 10.0 m" in problem
+    scene_of(flying(first, {**second, "goal": at(600, 145, agl=60)}))
+    scene_of(flying(first, {**second, "goal": at(600, 130, agl=85)}))
+    assert "circles of planes included" in problem_of(flying(first, {"home": at(0, 200), "goal": at(600, 70, agl=50)}))
+    both_home = ({**first, "end": "rtl"}, {**second, "end": "rtl", "home": at(0, 130)})
+    assert "circles of planes included" in problem_of(flying(*both_home))
 
 
 def test_every_kind_of_obstacle_stands_where_it_says() -> None:
@@ -401,7 +431,7 @@ def test_a_planes_climb_out_must_outrun_the_ground(tmp_path: Path) -> None:
     plane = {"class": "plane", "home": at(0, 0), "goal": at(600, 0, agl=80), "takeoff_height_m": 60}
     problem = problem_of(on_the_hill(plane), tmp_path)
     assert "top of the take-off, the climb to it from home: expected the ground to fall behind" in problem
-    scene_of(on_the_hill({**plane, "climb": {"angle_max_deg": 35}, "home": at(0, 0)}), tmp_path)
+    scene_of(on_the_hill({**plane, "climb": {"angle_max_deg": 35, "rate_m_s": 16}, "home": at(0, 0)}), tmp_path)
 
 
 # --- the whole as input of a plan
