@@ -728,21 +728,36 @@ def _depth_integral(
 
 
 @kernel
+def _box_near(box: FloatArray, x: float, y: float, near: float, lowest: float, highest: float) -> bool:
+    """Whether a box (6,) comes within ``near`` of a vertical axis, between two altitudes."""
+    if box[2] >= highest or box[5] <= lowest:
+        return False
+    dx = max(0.0, box[0] - x, x - box[3])
+    dy = max(0.0, box[1] - y, y - box[4])
+    close: bool = dx * dx + dy * dy < near * near
+    return close
+
+
+@kernel
 def _space_terms(
     path: FloatArray, space: SpaceArrays, q: PriceSettings, hop: FloatArray, blocks: FloatArray, out: FloatArray
 ) -> None:
     """Depth within reach of solids, of fence and area, integrated; ``blocks`` (B, 6) is scratch."""
     last = hop.shape[0]
-    for b in range(blocks.shape[0]):  # a box around all, then one around every few samples: most solids are far off
-        first = max(0, b - 1) * BLOCK
-        stop = min(first + BLOCK, last) if b > 0 else last
+    count = (last + BLOCK - 1) // BLOCK
+    for b in range(count):  # a box around every few samples, and one around every few boxes: most solids are far off
+        first = b * BLOCK
+        group = count + b // BLOCK
         for axis in range(3):
             low = high = path[first, axis]
-            for k in range(first + 1, stop + 1):
+            for k in range(first + 1, min(first + BLOCK, last) + 1):
                 low = min(low, path[k, axis])
                 high = max(high, path[k, axis])
             blocks[b, axis] = low
             blocks[b, 3 + axis] = high
+            starts = b % BLOCK == 0
+            blocks[group, axis] = low if starts else min(low, blocks[group, axis])
+            blocks[group, 3 + axis] = high if starts else max(high, blocks[group, 3 + axis])
     scale = max(1.0, q.obstacle_m) * q.route_length_m
     out[OBSTACLES] = 0.0
     out[COLLISION] = 0.0
@@ -756,19 +771,18 @@ def _space_terms(
         step = hiding_step(reach if hard else radius)
         x = o.bound[i, 0]
         y = o.bound[i, 1]
-        near2 = (radius + reach) * (radius + reach)
+        near = radius + reach
         lowest = o.bound[i, 3] - reach
         highest = o.bound[i, 4] + reach
         depth = 0.0
-        for b in range(blocks.shape[0]):
-            dx = max(0.0, blocks[b, 0] - x, x - blocks[b, 3])
-            dy = max(0.0, blocks[b, 1] - y, y - blocks[b, 4])
-            if dx * dx + dy * dy >= near2 or blocks[b, 2] >= highest or blocks[b, 5] <= lowest:
-                if b == 0:
-                    break
-            elif b > 0:
-                first = (b - 1) * BLOCK
-                depth += _depth_integral(path, hop, first, min(first + BLOCK, last), space, i, reach, step)
+        for group in range(count, blocks.shape[0]):
+            if not _box_near(blocks[group], x, y, near, lowest, highest):
+                continue
+            block = (group - count) * BLOCK
+            for b in range(block, min(block + BLOCK, count)):
+                if _box_near(blocks[b], x, y, near, lowest, highest):
+                    first = b * BLOCK
+                    depth += _depth_integral(path, hop, first, min(first + BLOCK, last), space, i, reach, step)
         if depth > 0.0:
             if not hard:
                 out[RADAR_ZONE] += depth / (radius * radius * q.route_length_m)
@@ -916,7 +930,8 @@ def price_paths(
     loops: those compile for seconds longer, cannot take tuples of tuples, and forbid callers to use threads or fork.
     """
     hop = np.empty(paths.shape[1] - 1)
-    blocks = np.empty(((paths.shape[1] + BLOCK - 2) // BLOCK + 1, 6))
+    boxes = (hop.shape[0] + BLOCK - 1) // BLOCK
+    blocks = np.empty((boxes + (boxes + BLOCK - 1) // BLOCK, 6))
     for p in range(paths.shape[0]):
         path = paths[p]
         terms = out[p]

@@ -32,7 +32,8 @@ from missionplanner.waypoints import fit_waypoints
 
 _ATTEMPTS = 5
 _GUESSES_PER_SECTION = 3
-_SAMPLES_MAX = 500
+_SAMPLES = 200
+"""On an evenly sampled path, beyond which the way is long enough for coarser steps; corners get more."""
 _SAMPLE_M = 15.0
 _CORNER_M = 24.0
 """How far from a corner its neighbouring control points stand in the first attempt; halved in each further one."""
@@ -260,11 +261,13 @@ def _family(polylines: list[FloatArray], corner_m: float) -> _Family:
     knots = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     at_stops = knots[ends]
 
-    spacing_m = max(_SAMPLE_M, at_stops[-1] / _SAMPLES_MAX)
-    pieces = np.maximum(12, np.ceil(np.diff(at_stops) / spacing_m).astype(int))
+    # dense where control points stand close, at corners; elsewhere as coarse as a long way asks for
+    spacing_m = max(_SAMPLE_M, at_stops[-1] / _SAMPLES)
+    pieces = np.maximum(2, np.ceil(np.diff(knots) / spacing_m).astype(int))
     samples = np.concatenate(
-        [[0.0], *(np.linspace(a, b, n + 1)[1:] for (a, b), n in zip(pairwise(at_stops), pieces, strict=True))]
+        [[0.0], *(np.linspace(a, b, n + 1)[1:] for (a, b), n in zip(pairwise(knots), pieces, strict=True))]
     )
+    stops = np.concatenate([[0], np.cumsum(pieces)])[ends]
 
     # a handle about every 250 m, at least one between stops; the vertical reach is smaller: height costs more
     counts = np.clip(np.round(np.diff(at_stops) / 250.0).astype(int), 1, 8)
@@ -275,7 +278,7 @@ def _family(polylines: list[FloatArray], corner_m: float) -> _Family:
     lateral_m, vertical_m = np.clip(0.2 * gaps, 3.0, 60.0), np.clip(0.1 * gaps, 3.0, 30.0)
     return _Family(
         base_m=basis(knots, samples) @ points,
-        stops=np.concatenate([[0], np.cumsum(pieces)]),
+        stops=stops,
         handles=basis(handle_knots, samples)[:, moving],
         reach_m=np.stack([lateral_m, lateral_m, vertical_m], axis=1),
     )
