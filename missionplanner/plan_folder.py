@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from missionplanner import planner, proof
 from missionplanner.errors import MissionError
-from missionplanner.files import write_atomic
+from missionplanner.files import ensure_writable, write_atomic
 from missionplanner.geodesy import FloatArray, LocalFrame
 from missionplanner.mission import parse_mission
 from missionplanner.path import length_m
@@ -72,6 +73,12 @@ class _FlownRecord(_Record):
     t_s: tuple[float, ...] = Field(min_length=1)
     position_m: tuple[Vector, ...] = Field(min_length=1)
 
+    @model_validator(mode="after")
+    def _a_place_for_every_time(self) -> _FlownRecord:
+        if len(self.t_s) != len(self.position_m) or any(b < a for a, b in pairwise(self.t_s)):
+            raise ValueError("expected times in order with a position each")
+        return self
+
 
 class _FlightRecord(_Record):
     format: Literal["missionplanner-flight"]
@@ -114,6 +121,7 @@ def save_plan(folder: Path, scene: Scene, plan: FleetPlan) -> Path:
         "vehicles": [_vehicle(vehicle, plan.frame) for vehicle in plan.vehicles],
         "mission": mission.model_dump(mode="json", by_alias=True, exclude_unset=True),
     }
+    ensure_writable(folder)
     (folder / FLIGHT_NAME).unlink(missing_ok=True)
     path = folder / PLAN_NAME
     write_atomic(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
@@ -212,7 +220,7 @@ def _read(path: Path, kind: type[_AnyRecord], remedy: str) -> _AnyRecord:
         first = error.errors(include_url=False)[0]
         where = ".".join(str(step) for step in first["loc"]) or "the whole file"
         problem = f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}"
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         problem = f"not JSON: {error}"
     raise MissionError(
         f"{path}: expected what this program wrote (version {VERSION}), got a damaged file or another's ({problem}): "
