@@ -30,7 +30,6 @@ from missionplanner.obstacles import (
 )
 from missionplanner.terrain import Rectangle, Terrain
 from missionplanner.vehicle import (
-    RETURN_HEIGHT_M,
     Ending,
     MotionModel,
     VehicleLimits,
@@ -48,6 +47,7 @@ _TAKEOFF_ROOM_M = 10.0
 _SAME_PLACE_M = 1.0
 _TOLERANCE_M = 1e-6
 _RUNWAY_RISE_M = 1.0
+_STEP_M = 1.0  # between samples of the terrain
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -380,8 +380,11 @@ class _Builder:
         end = ending(vehicle)
         if straight_up and end == "land":
             self._check_landing(route[-1], margins)
+        above_home = np.array([x, y, model.return_alt_amsl_m(route[-1].position_m[2], home[2])])
+        if end == "rtl":
+            self._check_return(_named(index, vehicle, "end"), route[-1].position_m, above_home, margins, straight_up)
         if not straight_up:
-            circled = route[-1] if end == "loiter" else _Spot(home_what, home + np.array([0.0, 0.0, RETURN_HEIGHT_M]))
+            circled = route[-1] if end == "loiter" else _Spot(home_what, above_home)
             self._check_circle(circled, model.loiter_radius_m, margins)
         return VehicleTask(
             name=vehicle.name,
@@ -481,6 +484,22 @@ class _Builder:
                 "the climb: move home, or lower takeoff_height_m"
             )
 
+    def _check_return(
+        self, what: str, goal: FloatArray, above_home: FloatArray, margins: Margins, climbs_first: bool
+    ) -> None:
+        """Check the way home, which is the autopilot's and straight: nobody plans a way around what stands there."""
+        what = f"{what}, the straight way home"
+        turn = np.array([goal[0], goal[1], above_home[2]]) if climbs_first else goal
+        self._check_leg(what, goal, turn, margins)
+        self._check_leg(what, turn, above_home, margins)
+        row = kernels.legs_clearance(self._space, np.array([[turn, above_home]]), _STEP_M)[0]
+        height, need = float(row[kernels.HEIGHT_MIN]), margins.height_agl_min_m
+        if not height >= need - _TOLERANCE_M:
+            raise MissionError(
+                f"{what}: expected at least {need:.1f} m above the ground (terrain margin and tracking error), got "
+                f"{height:.1f} m at {above_home[2]:.0f} m AMSL: end with land or loiter, or move the goal"
+            )
+
     def _check_circle(self, center: _Spot, radius_m: float, margins: Margins) -> None:
         """Check the circle on which a plane stays at its end; its first, wider turn is checked as it is predicted."""
         what = f"{center.what}, the circle of {radius_m:g} m radius on which it stays"
@@ -565,8 +584,9 @@ def _stay(task: VehicleTask) -> tuple[FloatArray, float]:
     """Return where a vehicle is when its mission is over, and the radius of the circle that a plane flies there."""
     if task.motion.vehicle_class == "copter":
         return (task.home_m if task.end == "rtl" else task.route_m[-1]), 0.0
-    center = task.route_m[-1] if task.end == "loiter" else task.home_m + np.array([0.0, 0.0, RETURN_HEIGHT_M])
-    return center, task.motion.loiter_radius_m
+    x, y, z = task.home_m
+    above_home = np.array([x, y, task.motion.return_alt_amsl_m(task.route_m[-1, 2], z)])
+    return (task.route_m[-1] if task.end == "loiter" else above_home), task.motion.loiter_radius_m
 
 
 def _named(index: int, vehicle: mission.Vehicle, field: str = "") -> str:

@@ -21,8 +21,12 @@ TAKEOFF_ACCELERATION_M_S2 = 5.0
 LIFT_OFF_SHARE = 0.8
 """A plane rolls at full throttle up to this share of its cruise speed, then climbs (ArduPlane 4.5 in SITL)."""
 
-RETURN_HEIGHT_M = 100.0
-"""A returned plane circles so high above home, from wherever it comes: RTL_ALTITUDE, RTL_DESCEND_ALT of PX4's planes."""
+_RETURN_HEIGHT_M = {
+    ("ardupilot", "copter"): 15.0,  # RTL_ALT
+    ("px4", "copter"): 60.0,  # RTL_RETURN_ALT
+    ("ardupilot", "plane"): 100.0,  # RTL_ALTITUDE
+    ("px4", "plane"): 100.0,  # RTL_DESCEND_ALT of its planes
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +44,11 @@ class MotionModel:
     # planes only
     cruise_speed_m_s: float = 22.0  # while no mission says otherwise: on take-off and on the way home
     loiter_radius_m: float = 60.0
+
+    def return_alt_amsl_m(self, alt_amsl_m: float, home_amsl_m: float) -> float:
+        """Return how high RTL brings a vehicle above its home: a copter no lower than it is, a plane just so high."""
+        lowest = home_amsl_m + _RETURN_HEIGHT_M[self.autopilot, self.vehicle_class]
+        return max(alt_amsl_m, lowest) if self.vehicle_class == "copter" else lowest
 
     def takeoff_distance_m(self, height_m: float) -> float:
         """Return how far from its home a plane that climbs at its greatest rate has gained a height; 0: lifts off."""

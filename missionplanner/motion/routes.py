@@ -9,14 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from missionplanner.geodesy import FloatArray
-from missionplanner.vehicle import RETURN_HEIGHT_M, MotionModel
+from missionplanner.vehicle import MotionModel
 
 _ARDUCOPTER_SPOOL_S = 0.2  # from the command to the first movement, what a smoother start than measured leaves of it
 _PX4_SPOOL_S = 3.7
 _PX4_DISARM_S = 2.5  # from touch-down to motors off
 _SLOW_BELOW_M = 10.0  # LAND_ALT_LOW, MPC_LAND_ALT1: the descent slows down this high above the ground
 _RTL_SPEED_M_S = 10.0  # RTL_SPEED = 0: WPNAV_SPEED, whatever speed the mission has set
-_RTL_HEIGHT_M = {"ardupilot": 15.0, "px4": 60.0}  # RTL_ALT, RTL_RETURN_ALT
 _RTL_WAIT_S = {"ardupilot": 5.0, "px4": 0.0}  # RTL_LOIT_TIME, RTL_LAND_DELAY
 
 
@@ -98,10 +97,10 @@ def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLi
     """
     start = np.asarray(from_m, dtype=float)
     home = np.asarray(home_m, dtype=float)
-    if model.vehicle_class == "plane":
-        return Route.through([[home[0], home[1], home[2] + RETURN_HEIGHT_M]], model.cruise_speed_m_s)
-    height = max(start[2], home[2] + _RTL_HEIGHT_M[model.autopilot])
+    height = model.return_alt_amsl_m(float(start[2]), float(home[2]))
     above = np.array([home[0], home[1], height])
+    if model.vehicle_class == "plane":
+        return Route.through([above], model.cruise_speed_m_s)
     way = Route.through(
         np.array([[start[0], start[1], height], above]), _RTL_SPEED_M_S, [0.0, _RTL_WAIT_S[model.autopilot]]
     )

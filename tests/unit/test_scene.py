@@ -147,6 +147,19 @@ def test_a_planes_circle_must_be_clear() -> None:
     assert "home (v0), the circle of 60 m radius on which it stays" in problem
 
 
+def test_the_way_home_must_be_clear() -> None:
+    mast = {"kind": "cylinder", "name": "mast", "center": at(300, 0), "radius_m": 5, "top_height_agl_m": 90}
+    far = {"stops": [at(300, 80, agl=50)], "end": "rtl"}
+    problem = problem_of(flying(far, obstacles=[mast]))
+    assert "end (v0), the straight way home: expected at least 12.0 m from obstacle mast" in problem
+    scene_of(flying({**far, "end": "land"}, obstacles=[mast]))
+    scene_of(flying({**far, "autopilot": "px4"}, obstacles=[{**mast, "top_height_agl_m": 45}]))  # it climbs first
+    hill_between = {"kind": "peaks", "base_alt_amsl_m": 100, "peaks": [{**at(300, 0), "height_m": 30, "spread_m": 60}]}
+    problem = problem_of(flying({"goal": at(900, 0, 140), "end": "rtl"}, terrain=hill_between))
+    assert "the straight way home: expected at least 22.0 m above the ground" in problem
+    scene_of(flying({"goal": at(900, 0, 155), "end": "rtl"}, terrain=hill_between))
+
+
 def test_circling_planes_stay_apart() -> None:
     first = {"class": "plane", "goal": at(600, 0, agl=60)}
     second = {"class": "plane", "home": at(0, 200), "goal": at(600, 130, agl=60)}
