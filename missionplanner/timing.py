@@ -197,11 +197,12 @@ def _bisect(lateness: Callable[[int], float], low: int, high: int, tried: dict[i
     """Halve a bracket until a time is met well within the tolerance or no speed is left between its ends."""
     sign = math.copysign(1.0, tried[low])
     while high - low > 1:
-        share = tried[low] / (tried[low] - tried[high])  # the secant, kept away from the ends
-        middle = low + round((high - low) * min(0.9, max(0.1, share)))
+        # the secant of time over pace, which is nearly straight, kept away from the ends
+        share = min(0.95, max(0.05, tried[low] / (tried[low] - tried[high])))
+        middle = round(1.0 / ((1.0 - share) / low + share / high))
         middle = min(high - 1, max(low + 1, middle))
         tried[middle] = lateness(middle)
-        if abs(tried[middle]) < 0.01 * ARRIVAL_TOLERANCE_S:
+        if abs(tried[middle]) < 0.1 * ARRIVAL_TOLERANCE_S:
             return
         if sign * tried[middle] > 0.0:
             low = middle
