@@ -24,8 +24,11 @@ ARRIVAL_ERROR_MAX_S = 0.5
 """How far a predicted arrival may be from the common one."""
 
 _ANGLE_SLACK_RAD = 1e-5
-_COLUMN_M = 1.0
-"""Horizontal distance from the pad within which a path counts as a vertical take-off or landing."""
+_COLUMN_M = 2.5
+"""Horizontal distance from the pad within which a path counts as a vertical take-off or landing.
+
+PX4 begins to sink as soon as it is within the goal's radius, 2 m by default, and drifts to its middle meanwhile.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,11 +166,12 @@ def clearances(scene: Scene, task: VehicleTask, plan: VehiclePlan) -> tuple[Clea
     space, names = scene.space, scene.obstacles.names
     margins = Margins.of(task.limits)
     airborne = airborne_part(plan.trajectory, float(plan.reached_s[0]))
+    columns = _columns(plan, float(airborne.t_s[-1]))
     anywhere = replace(margins, height_agl_min_m=-np.inf, height_agl_max_m=np.inf, alt_amsl_max_m=np.inf)
     found = [
         *least_clearances(space, names, margins, polyline_legs(plan.waypoints_m)),
         *least_clearances(space, names, margins, polyline_legs(airborne.position_m)),
-        *least_clearances(space, names, anywhere, _columns(plan)),
+        *least_clearances(space, names, anywhere, columns),
     ]
     return worst_of_each(found)
 
@@ -286,10 +290,10 @@ def _ceiling(table: FloatArray, margins: Margins, legs: FloatArray) -> list[Clea
     return [Clearance(room, 0.0, "ceiling", (float(at[0]), float(at[1]), float(at[2]))) for room, at in rooms]
 
 
-def _columns(plan: VehiclePlan) -> FloatArray:
-    """Return the vertical take-off and the flight after the goal down to the ground, as legs."""
+def _columns(plan: VehiclePlan, sinks_s: float) -> FloatArray:
+    """Return the vertical take-off, and the flight from ``sinks_s`` on down to the ground, as legs."""
     take_off = np.stack([plan.home_m, plan.waypoints_m[0]])[np.newaxis]
-    after = plan.trajectory.position_m[plan.trajectory.t_s >= plan.arrival_s]
+    after = plan.trajectory.position_m[plan.trajectory.t_s >= sinks_s]
     if len(after) < 2:
         return take_off
     return np.concatenate([take_off, polyline_legs(after)])

@@ -423,3 +423,24 @@ def test_two_that_flew_too_close_are_told() -> None:
         assert check.ok is ok
         assert check.separation is not None
         assert check.separation.required_m == 20.0
+
+
+def test_a_copter_may_sink_as_soon_as_it_is_within_the_goals_radius() -> None:
+    # as PX4 does: it drifts to the middle of its landing place on the way down
+    there = scene()
+    vehicle = by_hand(there).vehicles[0]
+    line = [*STRAIGHT[:1], (298.2, 0.0, 140.0), (298.2, 0.0, 115.0), (300.0, 0.0, 100.0)]
+    flight = Trajectory(np.array([20.0, 80.0, 95.0, 110.0]), np.array(line))
+    drifting = replace(vehicle, trajectory=flight, reached_s=np.array([20.0, 80.0]), arrival_s=80.0)
+    assert all(c.ok for c in proof.clearances(there, there.tasks[0], drifting))
+
+
+def test_what_stands_beside_a_drifting_descent_counts() -> None:
+    post = {"kind": "cylinder", "name": "post", "center": at(312.5, 0), "radius_m": 0.4}
+    vehicle = by_hand(scene()).vehicles[0]
+    line = [*STRAIGHT[:1], (300.0, 0.0, 140.0), (301.8, 0.0, 115.0), (300.0, 0.0, 100.0)]
+    flight = Trajectory(np.array([20.0, 80.0, 95.0, 110.0]), np.array(line))
+    drifting = replace(vehicle, trajectory=flight, reached_s=np.array([20.0, 80.0]), arrival_s=80.0)
+    there = scene(obstacles=[post])
+    (bad,) = [c for c in proof.clearances(there, there.tasks[0], drifting) if not c.ok]
+    assert (bad.what, round(bad.distance_m, 2)) == ("post", 10.3)
