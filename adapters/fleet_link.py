@@ -98,7 +98,7 @@ _START_RETRY_S = 0.25
 _ARM_S = 8.0  # an armed copter left idle disarms after 10 s
 _ARM_EARLY_S = 4.0  # before a delayed start
 _LOST_S = 60.0
-_RETURNED_M = 150.0
+_RETURNED_M = 90.0  # beyond its circle, within which a plane has come home
 _PROGRESS_S = 0.5
 
 _CUSTOM_MODE = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
@@ -556,7 +556,7 @@ class _Vehicle:
             self.plan.vehicle_class == "plane"
             and self.plan.end == "rtl"
             and position_m is not None
-            and float(np.hypot(*(position_m - self.plan.home_m)[:2])) <= _RETURNED_M
+            and float(np.hypot(*(position_m - self.plan.home_m)[:2])) <= self.plan.motion.loiter_radius_m + _RETURNED_M
         )
 
     def in_mode(self, order: Order) -> bool:
