@@ -65,7 +65,8 @@ def read(name: str) -> Recording:
     with gzip.open(FOLDER / f"{name}.csv.gz", "rt") as file:
         table = list(csv.DictReader(file))
     t_s = np.array([float(row["t"]) for row in table])
-    position = np.array([[float(row[c]) for c in ("x_east", "y_north", "alt_rel")] for row in table]) + [0, 0, base]
+    position = np.array([[float(row[c]) for c in ("x_east", "y_north", "alt_rel")] for row in table])
+    position[:, 2] += base
     after = int(takeoff[0]) + 1
     begin_s = log.get(after) if int(rows[after][3]) == _SPEED else None
     if begin_s is None:

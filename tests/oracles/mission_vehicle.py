@@ -46,7 +46,7 @@ class MissionVehicle:
             return [self._ask(now_s)]
         return []
 
-    def receive(self, message: Any, now_s: float) -> list[Any]:  # noqa: PLR0911
+    def receive(self, message: Any, now_s: float) -> list[Any]:
         peer = (message.get_srcSystem(), message.get_srcComponent())
         match message.get_type():
             case "MISSION_COUNT" if now_s < self.busy_until_s:

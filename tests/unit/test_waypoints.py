@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -18,7 +20,7 @@ def arc(radius_m: float, angle_rad: float, samples: int) -> FloatArray:
 
 def distance_to_polyline(points: FloatArray, line: FloatArray) -> FloatArray:
     d = np.full(len(points), np.inf)
-    for a, b in zip(line[:-1], line[1:], strict=True):
+    for a, b in pairwise(line):
         t = np.clip(((points - a) @ (b - a)) / ((b - a) @ (b - a)), 0, 1)
         d = np.minimum(d, np.linalg.norm(points - a - t[:, None] * (b - a), axis=1))
     return d
