@@ -103,12 +103,13 @@ class World:
             heights = dataset.read(1).astype(float)
             if dataset.nodata is not None:
                 heights[heights == dataset.nodata] = np.nan
-            to_pixel, crs = ~dataset.transform, CRS.from_wkt(dataset.crs.to_wkt())
+            (a, b, c, d, e, f), crs = (~dataset.transform)[:6], CRS.from_wkt(dataset.crs.to_wkt())
         to_raster = Transformer.from_crs(self.local, crs, always_xy=True)
 
         def ground(xy: Array) -> Array:
-            col, row = to_pixel * np.array(to_raster.transform(xy[:, 0], xy[:, 1]))
-            return _keys(heights, row - 0.5, col - 0.5)  # pixels are counted from their corners
+            east, north = to_raster.transform(xy[:, 0], xy[:, 1])
+            col, row = a * east + b * north + c, d * east + e * north + f  # from a pixel's corner
+            return _keys(heights, row - 0.5, col - 0.5)
 
         return ground
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
 from pymavlink import mavwp
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.export import export_fleet
 from adapters.mission_items import plan_items
@@ -15,6 +13,7 @@ from adapters.plan_file import read_plan
 from adapters.waypoints_file import read_waypoints
 from missionplanner.errors import MissionError
 from missionplanner.vehicle import Autopilot
+from tests.mavsdk_importer import mavsdk_importer
 from tests.plans import fleet_plan, vehicle_plan
 
 
@@ -43,27 +42,13 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         export_fleet(fleet_plan(), tmp_path / "file")
 
 
-@pytest.mark.parametrize(("autopilot", "number"), [("ardupilot", 3), ("px4", 12)])
-def test_mavsdk_imports_both_formats(tmp_path: Path, autopilot: Autopilot, number: int) -> None:
-    mavsdk = pytest.importorskip("mavsdk", reason="MAVSDK is not installed")
-    mission_raw = pytest.importorskip("mavsdk.plugins.mission_raw.mission_raw", reason="MAVSDK is not the native one")
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_mavsdk_imports_both_formats(tmp_path: Path, autopilot: Autopilot) -> None:
     plan = fleet_plan(vehicle_plan(autopilot=autopilot))
     export_fleet(plan, tmp_path)
-    sdk = mavsdk.Mavsdk(mavsdk.Configuration.create_with_component_type(mavsdk.ComponentType.GROUND_STATION))
-    try:
-        # its importers want a vehicle: one that does nothing but live, and no socket in between
-        sdk.add_any_connection("raw://")
-        heart = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
-        beat = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_QUADROTOR, number, 81, 0, 3, 3)
-        deadline_s = time.monotonic() + 10.0
-        while not sdk.get_systems() and time.monotonic() < deadline_s:
-            sdk.pass_received_raw_bytes(beat.pack(heart))
-            time.sleep(0.02)
-        importer = mission_raw.MissionRaw(sdk.get_systems()[0])
+    with mavsdk_importer(autopilot) as importer:
         from_plan = importer.import_qgroundcontrol_mission(str(tmp_path / "uav1.plan")).mission_items
         from_waypoints = importer.import_mission_planner_mission(str(tmp_path / "uav1.waypoints")).mission_items
-    finally:
-        sdk.destroy()
     items = plan_items(plan.vehicles[0], plan.frame)
     assert len(from_plan) == len(items)
     for got, item in zip(from_plan, items, strict=True):
