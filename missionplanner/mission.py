@@ -284,7 +284,7 @@ class VehicleSettings(Model):
 
     autopilot: Literal["ardupilot", "px4"] = "ardupilot"
     vehicle_class: Literal["copter", "plane"] = Field("copter", alias="class")
-    speed_m_s: SpeedRange | None = Field(None, description="default: copter 3 to 10, plane 14 to 22")
+    speed_m_s: SpeedRange | None = Field(None, description="default: copter 3 to 10, plane 14 to 22 (PX4: to 20)")
     climb: VerticalLimit = VerticalLimit()
     descent: VerticalLimit = VerticalLimit()
     turn_radius_m: NonNegative | None = Field(None, description="PAPER.md eq. 5; default: copter 0, plane 60")

@@ -86,7 +86,12 @@ _PLANE_DEFAULTS: dict[Autopilot, tuple[float, float]] = {
     "ardupilot": (22.0, 60.0),
     "px4": (15.0, 80.0),
 }
-_SPEED_DEFAULTS: dict[VehicleClass, tuple[float, float]] = {"copter": (3.0, 10.0), "plane": (14.0, 22.0)}
+_SPEED_DEFAULTS: dict[tuple[Autopilot, VehicleClass], tuple[float, float]] = {
+    ("ardupilot", "copter"): (3.0, 10.0),
+    ("px4", "copter"): (3.0, 10.0),
+    ("ardupilot", "plane"): (14.0, 22.0),
+    ("px4", "plane"): (14.0, 20.0),  # FW_AIRSPD_MAX
+}
 _CLIMB_RATE_M_S: dict[tuple[Autopilot, VehicleClass], float] = {
     ("ardupilot", "copter"): 2.5,
     ("px4", "copter"): 3.0,
@@ -127,7 +132,7 @@ def ending(settings: VehicleSettings) -> Ending:
 def vehicle_limits(settings: VehicleSettings, vertical_error_m: float) -> VehicleLimits:
     """Return the limits of a path; ``vertical_error_m`` is the terrain model's and widens the terrain margin."""
     speed = settings.speed_m_s
-    low, high = (speed.min, speed.max) if speed else _SPEED_DEFAULTS[settings.vehicle_class]
+    low, high = (speed.min, speed.max) if speed else _SPEED_DEFAULTS[settings.autopilot, settings.vehicle_class]
     angle_deg = _PATH_ANGLE_DEG[settings.vehicle_class]
     return VehicleLimits(
         speed_min_m_s=low,

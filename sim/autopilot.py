@@ -565,8 +565,12 @@ class Autopilot:
             self._climb_m_s = speed_m_s
         elif vertical == mavlink.SPEED_TYPE_DESCENT_SPEED:
             self._descent_m_s = speed_m_s
-        else:
+        elif self._may_fly_at(speed_m_s):
             self._speed_m_s = speed_m_s
+
+    def _may_fly_at(self, speed_m_s: float) -> bool:
+        names = self.personality.speed_limit_parameters
+        return names is None or float(self.parameters[names[0]]) <= speed_m_s <= float(self.parameters[names[1]])
 
     def _place(self, item: MissionItem, from_m: FloatArray | None = None) -> FloatArray:
         """Return the position (3,) of an item in the local frame; 0/0 is the place it is reached from."""

@@ -94,6 +94,7 @@ class Personality:
     speed_parameter: tuple[str, float]  # its name, and its unit in m/s
     motion_parameters: Callable[[MotionModel], Mapping[str, int | float]]  # what shows the navigator's settings
     parameters: Mapping[str, int | float]  # the others; integers are INT32, floats REAL32
+    speed_limit_parameters: tuple[str, str] | None = None  # speeds commanded outside are ignored
 
     def mode(self, name: str) -> Mode:
         """Return the mode of that name; there must be one."""
@@ -483,6 +484,7 @@ _ARDUPLANE = replace(
     landed_disarm_s=20.0,
     cold_start_s=23.0,
     speed_parameter=("AIRSPEED_CRUISE", 1.0),
+    speed_limit_parameters=("AIRSPEED_MIN", "AIRSPEED_MAX"),
     motion_parameters=_plane_parameters,
     parameters=MappingProxyType({"ARMING_CHECK": 1, "MIS_RESTART": 0, "RTL_ALTITUDE": 100.0}),
 )

@@ -352,3 +352,43 @@ def test_uploading_the_same_mission_in_flight_disturbs_nothing() -> None:
     disturbed.run(10.0)
     calm.run(10.0)
     assert disturbed.autopilot.position_m == pytest.approx(calm.autopilot.position_m, abs=1e-9)
+
+
+@pytest.mark.parametrize(("speed_m_s", "flown_m_s"), [(18.0, 18.0), (35.0, 22.0), (5.0, 22.0)])
+def test_arduplane_ignores_speeds_outside_its_limits(speed_m_s: float, flown_m_s: float) -> None:
+    ground = Ground("ardupilot", "plane")
+    assert ground.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 0, speed_m_s, -1) == ACCEPTED
+    assert ground.autopilot.speed_m_s == flown_m_s
+
+
+@BOTH
+def test_a_plane_that_lands_meets_the_ground_and_stands(autopilot: Autopilot) -> None:
+    ground = Ground(autopilot, "plane")
+    ground.upload(mission(autopilot, mavlink.MAV_CMD_NAV_LAND, speed_m_s=18.0))
+    ground.mode("AUTO" if autopilot == "ardupilot" else "MISSION")
+    ground.arm()
+    ground.start()
+    while not ground.autopilot.landed or ground.fleet.now_s < 10.0:
+        before = ground.autopilot.position_m
+        ground.run(0.5)
+        assert ground.fleet.now_s < 200.0
+    assert ground.autopilot.position_m[2] == pytest.approx(584.0, abs=0.5)
+    assert np.linalg.norm(ground.autopilot.position_m - before) < 15.0  # it did not drop out of the sky
+    stands = ground.autopilot.position_m
+    ground.run(30.0)
+    assert np.array_equal(ground.autopilot.position_m, stands)
+    assert not ground.autopilot.armed
+
+
+def test_a_plane_disarmed_in_the_air_is_down() -> None:
+    ground = Ground("ardupilot", "plane")
+    ground.upload(mission("ardupilot", speed_m_s=18.0))
+    ground.mode("AUTO")
+    ground.arm()
+    ground.start()
+    ground.run(15.0)
+    assert ground.autopilot.position_m[2] > 590.0
+    assert ground.autopilot.disarm(ground.fleet.now_s, force=True) == ACCEPTED
+    ground.run(5.0)
+    assert ground.autopilot.position_m[2] == pytest.approx(584.0)
+    assert ground.autopilot.landed_state is LandedState.ON_GROUND

@@ -61,8 +61,26 @@ def test_a_copter_is_unlimited_where_nothing_is_said() -> None:
 def test_a_planes_defaults() -> None:
     limits = vehicle_limits(settings(**{"class": "plane"}), vertical_error_m=0.0)
     assert (limits.speed_min_m_s, limits.speed_max_m_s) == (14.0, 22.0)
+    px4 = vehicle_limits(settings(autopilot="px4", **{"class": "plane"}), vertical_error_m=0.0)
+    assert px4.speed_max_m_s == 20.0  # what PX4 would hold it to
     assert limits.climb_angle_rad == pytest.approx(math.radians(12))
     assert limits.turn_radius_m == 60.0
+
+
+@pytest.mark.parametrize(("autopilot", "expected"), [("ardupilot", (22.0, 60.0)), ("px4", (15.0, 80.0))])
+def test_a_planes_own_parameters(autopilot: str, expected: tuple[float, float]) -> None:
+    model = motion_model(settings(autopilot=autopilot, **{"class": "plane"}))
+    assert (model.cruise_speed_m_s, model.loiter_radius_m) == expected
+    told = {"cruise_speed_m_s": 18, "loiter_radius_m": 50}
+    model = motion_model(settings(autopilot=autopilot, turn_radius_m=55, motion=told, **{"class": "plane"}))
+    assert (model.cruise_speed_m_s, model.loiter_radius_m) == (18.0, 55.0)  # no circle is tighter than its turns
+
+
+def test_heights_of_the_way_home() -> None:
+    copter, plane = (motion_model(settings(**{"class": kind})) for kind in ("copter", "plane"))
+    assert [copter.return_alt_amsl_m(alt, 100.0) for alt in (105.0, 300.0)] == [115.0, 300.0]
+    assert [plane.return_alt_amsl_m(alt, 100.0) for alt in (105.0, 300.0)] == [200.0, 200.0]
+    assert plane.takeoff_distance_m(50.0) == pytest.approx(17.6**2 / 10.0 + 50.0 * 22.0 / 5.0)
 
 
 def test_what_the_mission_says_of_limits_holds() -> None:
