@@ -1,0 +1,194 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from missionplanner.clearance import Margins, legs_clear, legs_within_angles, polyline_legs
+from missionplanner.cost import Price
+from missionplanner.errors import InfeasibleError
+from missionplanner.geodesy import FloatArray
+from missionplanner.path_search import PlannedPath, find_path
+from missionplanner.scene import Scene
+from tests.scenes import at, copter, question, scene_of
+
+MAST = {"kind": "cylinder", "name": "mast", "center": at(150, 4), "radius_m": 10}
+ALPHA = copter("alpha", (0, 0), (300, 0), start=at(0, 0, agl=40))
+
+
+def scene(*vehicles: dict[str, Any], **changes: Any) -> Scene:
+    return scene_of(question(*(vehicles or (ALPHA,)), **({"planner": {"population": 20, "iterations": 30}} | changes)))
+
+
+def price(scene: Scene, extra_m: float) -> Price:
+    task = scene.tasks[0]
+    return Price(
+        space=scene.space,
+        limits=task.limits,
+        route_length_m=float(np.linalg.norm(np.diff(task.route_m, axis=0), axis=1).sum()),
+        weights=scene.mission.planner.weights,
+        towers=None,
+        fellows=None,
+        separation_m=20.0,
+        clearance_extra_m=extra_m,
+    )
+
+
+def found(
+    scene: Scene,
+    seed: int = 1,
+    flown_is_clear: Callable[[FloatArray], bool] = lambda waypoints_m: True,
+    on_iteration: Callable[[float], None] | None = None,
+) -> PlannedPath:
+    return find_path(
+        scene.tasks[0],
+        scene.space,
+        scene.obstacles.names,
+        lambda extra_m: price(scene, extra_m),
+        scene.mission.planner,
+        np.random.default_rng(seed),
+        flown_is_clear,
+        on_iteration,
+    )
+
+
+def assert_flyable(scene: Scene, path: PlannedPath) -> None:
+    task = scene.tasks[0]
+    for line in (path.path_m, path.waypoints_m):
+        assert legs_clear(scene.space, Margins.of(task.limits), polyline_legs(line), 0.1).all()
+        np.testing.assert_allclose(line[[0, -1]], task.route_m[[0, -1]], atol=1e-3)
+    assert legs_within_angles(task.limits, polyline_legs(path.waypoints_m), 1e-5).all()
+    legs = polyline_legs(path.waypoints_m)
+    along = legs[:, 1] - legs[:, 0]
+    for point in path.path_m:
+        t = np.clip(np.sum((point - legs[:, 0]) * along, axis=1) / np.sum(along**2, axis=1), 0, 1)
+        nearest_m = np.linalg.norm(legs[:, 0] + t[:, None] * along - point, axis=1).min()
+        assert nearest_m <= scene.mission.planner.waypoint_tolerance_m + 1e-6
+
+
+def test_where_nothing_is_in_the_way_it_is_one_straight_leg() -> None:
+    path = found(scene())
+    np.testing.assert_allclose(path.waypoints_m, [[0, 0, 140], [300, 0, 140]], atol=1e-3)
+    assert path.length_m == pytest.approx(300.0, abs=0.01)
+
+
+def test_a_mast_is_gone_around_by_little() -> None:
+    around = scene(obstacles=[MAST])
+    path = found(around)
+    assert_flyable(around, path)
+    assert 300.5 < path.length_m < 312.0
+    assert len(path.waypoints_m) <= 6
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_whatever_the_seed_the_path_is_flyable(seed: int) -> None:
+    masts = [MAST | {"name": f"m{k}", "center": at(60 + 60 * k, 15 * (-1) ** k)} for k in range(4)]
+    cable = {"kind": "cable", "name": "wire", "start": at(240, -200, amsl=145), "end": at(240, 200, amsl=145)}
+    cluttered = scene(obstacles=[*masts, cable])
+    assert_flyable(cluttered, found(cluttered, seed))
+
+
+def test_a_ridge_is_flown_over_where_it_is_low() -> None:
+    peaks = [{**at(150, y), "height_m": 150, "spread_m": 60} for y in (-150, -50, 160, 260)]
+    area = {"south_west": at(-100, -200), "north_east": at(400, 310)}
+    pass_between = scene(terrain={"kind": "peaks", "base_alt_amsl_m": 100, "peaks": peaks}, area=area)
+    path = found(pass_between)
+    assert_flyable(pass_between, path)
+    assert path.path_m[:, 1].max() > 20.0  # through the gap at y = 55 m rather than over the peaks
+
+
+def test_stops_are_waypoints_in_their_order() -> None:
+    stops = [at(100, 80, agl=50), at(200, -80, agl=40), at(250, 40, agl=60)]
+    winding = scene({**ALPHA, "stops": stops}, obstacles=[MAST])
+    path = found(winding)
+    assert_flyable(winding, path)
+    route_m = winding.tasks[0].route_m
+    at_stop = [int(np.argmin(np.linalg.norm(path.waypoints_m - stop, axis=1))) for stop in route_m]
+    np.testing.assert_allclose(path.waypoints_m[at_stop], route_m, atol=1e-3)
+    assert at_stop == sorted(at_stop)
+
+
+def test_the_search_only_improves_and_reports_what_it_did() -> None:
+    news: list[float] = []
+    around = scene(obstacles=[MAST])
+    path = found(around, on_iteration=news.append)
+    assert path.history.size > 0
+    assert np.all(np.diff(path.history) <= 0.0)
+    assert 0 < path.evaluations <= 20 * 30
+    assert news == sorted(news)
+    assert news[-1] == pytest.approx(path.evaluations / (20 * 30))
+    task = around.tasks[0]
+    extra_m = around.mission.planner.waypoint_tolerance_m + 0.2 * task.motion.waypoint_radius_m
+    exact = price(around, extra_m)
+    assert path.cost == pytest.approx(exact.total(path.path_m[None])[0])
+    assert path.cost_terms == {name: pytest.approx(v[0]) for name, v in exact.terms(path.path_m[None]).items()}
+    assert path.cost <= path.history[0] * 1.003  # what is given up for fewer bends
+
+
+def test_the_same_generator_gives_the_same_path() -> None:
+    around = scene(obstacles=[MAST])
+    one, same, other = (found(around, seed) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one.path_m, same.path_m)
+    np.testing.assert_array_equal(one.history, same.history)
+    assert not np.array_equal(one.history, other.history)
+
+
+def test_a_flight_that_cuts_its_corners_too_much_is_planned_again() -> None:
+    asked: list[FloatArray] = []
+
+    def third_time_lucky(waypoints_m: FloatArray) -> bool:
+        asked.append(waypoints_m)
+        return len(asked) > 2
+
+    around = scene(obstacles=[MAST])
+    path = found(around, flown_is_clear=third_time_lucky)
+    assert len(asked) == 3
+    assert_flyable(around, path)
+
+
+def test_no_flight_is_clear_and_the_vehicle_is_named() -> None:
+    with pytest.raises(InfeasibleError, match=r"^alpha: found no path that stays clear by its whole margin"):
+        found(scene(obstacles=[MAST]), flown_is_clear=lambda waypoints_m: False)
+
+
+def test_what_blocks_the_way_is_named() -> None:
+    wall = {"kind": "no_fly", "name": "wall", "polygon": [at(140, -300), at(160, -300), at(160, 300), at(140, 300)]}
+    area = {"south_west": at(-100, -150), "north_east": at(400, 150)}
+    with pytest.raises(InfeasibleError, match=r"^alpha: no way from stop 0 to stop 1: .*past wall") as raised:
+        found(scene(obstacles=[wall], area=area))
+    assert "\n" not in str(raised.value)
+
+
+def test_of_two_ways_the_cheaper_is_taken() -> None:
+    # the mast's axis lies 4 m to the left: to its right the way is shorter, unless a soft zone lies there
+    right = found(scene(obstacles=[MAST]))
+    assert right.path_m[:, 1].min() < -10.0
+    zone = {"kind": "radar", "name": "zone", "center": at(150, -60, amsl=140), "radius_m": 55, "hard": False}
+    dear = {"population": 20, "iterations": 30, "weights": {"radar": 50}}
+    left = found(scene(obstacles=[MAST, zone], planner=dear))
+    assert left.path_m[:, 1].max() > 10.0
+
+
+def test_a_gap_with_just_enough_room_is_used() -> None:
+    # 25 m between two masts is 0.5 m more than the margins ask for on both sides; around them it is far
+    walls = [
+        {"kind": "no_fly", "name": name, "polygon": [at(140, a), at(160, a), at(160, b), at(140, b)]}
+        for name, a, b in [("south", -300, -14.5), ("north", 14.5, 300)]
+    ]
+    area = {"south_west": at(-100, -150), "north_east": at(400, 150)}
+    narrow = scene(ALPHA, obstacles=walls, area=area)
+    assert_flyable(narrow, found(narrow))
+    closed = [walls[0], {**walls[1], "polygon": [at(140, 9), at(160, 9), at(160, 300), at(140, 300)]}]
+    with pytest.raises(InfeasibleError, match="alpha: no way"):
+        found(scene(ALPHA, obstacles=closed, area=area))
+
+
+def test_limits_that_are_changed_are_kept() -> None:
+    low = scene({**ALPHA, "height_agl_max_m": 50}, obstacles=[MAST | {"top_height_agl_m": 60}])
+    path = found(low)
+    assert_flyable(low, path)
+    assert path.path_m[:, 2].max() <= 148.0 + 1e-6
+    assert replace(low.tasks[0].limits).height_agl_max_m == 50.0
