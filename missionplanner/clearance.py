@@ -67,3 +67,12 @@ def legs_within_angles(limits: VehicleLimits, legs: FloatArray, slack_rad: float
 def polyline_legs(points_m: FloatArray) -> FloatArray:
     """Return the legs (N - 1, 2, 3) of a polyline (N, 3)."""
     return np.stack([points_m[:-1], points_m[1:]], axis=1)
+
+
+def distance_to_legs_m(point_m: FloatArray, legs: FloatArray) -> FloatArray:
+    """Return the distances (N,) of a point (3,) to legs (N, 2, 3)."""
+    along = legs[:, 1] - legs[:, 0]
+    square = np.maximum(np.einsum("nk,nk->n", along, along), 1e-12)
+    share = np.clip(np.einsum("nk,nk->n", point_m - legs[:, 0], along) / square, 0.0, 1.0)
+    distance: FloatArray = np.linalg.norm(legs[:, 0] + share[:, np.newaxis] * along - point_m, axis=1)
+    return distance

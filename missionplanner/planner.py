@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 
 from missionplanner import __version__, obstacles, proof, timing
-from missionplanner.clearance import Margins, polyline_legs
+from missionplanner.clearance import Margins, distance_to_legs_m, polyline_legs
 from missionplanner.cost import Price
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
@@ -30,10 +29,12 @@ from missionplanner.scene import Scene, Towers, VehicleTask
 
 _FELLOW_INSTANTS = 128
 _FELLOW_SLACK_M = 5.0
-_ROUNDS = 16
+_ROUNDS = 24
 _AVOID_S = 20.0
 """How long before and after a conflict the other's flight is kept clear of."""
 _DELAY_S = 15.0
+_ROUTE_ROOM_M = 5.0
+"""What the way around another's flight leaves of room at the route's own points, beyond the margin."""
 
 
 class Watch(Protocol):
@@ -94,9 +95,11 @@ def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = N
             avoided[index] += flight
             break
         else:
+            if arrival_s is not None and conflict.t_s > 0.5 * arrival_s:
+                break  # who starts later and arrives at the same time is in the same place by then
             delays_s[conflict.second] += _DELAY_S
     raise InfeasibleError(
-        f"{conflict}, and {_ROUNDS} new plans did not part them: move their starts, goals or stops apart, set "
+        f"{conflict}, and no new plan parted them: move their starts, goals or stops apart, set "
         "fleet.launch_interval_s, or lower fleet.separation_m"
     )
 
@@ -276,8 +279,11 @@ def _flight_around(other: VehiclePlan, conflict: Conflict, task: VehicleTask) ->
     points = points[np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-3])]
     if len(points) == 1:
         points = np.concatenate([points, points + np.array([0.0, 0.0, 0.1])])
-    radius_m = max(0.5, conflict.required_m + 1.0 - Margins.of(task.limits).obstacle_m)
-    return [CableSolid(other.name, a, b, radius_m) for a, b in pairwise(points)]
+    legs = polyline_legs(points)
+    # the other may pass close to where this one must go, only not at the same time: its route stays open
+    room_m = np.min([distance_to_legs_m(point, legs) for point in task.route_m], axis=0) - _ROUTE_ROOM_M
+    radius_m = np.minimum(conflict.required_m + 1.0, room_m) - Margins.of(task.limits).obstacle_m
+    return [CableSolid(other.name, a, b, float(r)) for (a, b), r in zip(legs, radius_m, strict=True) if r > 0.5]
 
 
 def _with(space: SpaceArrays, solids: Sequence[CableSolid]) -> SpaceArrays:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from missionplanner import kernels, timing
-from missionplanner.clearance import Margins, legs_clear, legs_within_angles, polyline_legs
+from missionplanner.clearance import Margins, distance_to_legs_m, legs_clear, legs_within_angles, polyline_legs
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, Trajectory, VehiclePlan
@@ -119,13 +119,8 @@ def inspected_share(scene: Scene, lines_m: Sequence[FloatArray]) -> float:
     if towers is None or towers.weight.sum() == 0.0:
         return 1.0
     legs = np.concatenate([polyline_legs(line) for line in lines_m])
-    start, along = legs[:, 0], legs[:, 1] - legs[:, 0]
-    square = np.maximum(np.einsum("nk,nk->n", along, along), 1e-12)
-    inspected = np.empty(len(towers.top_m), dtype=bool)
-    for k, top in enumerate(towers.top_m):
-        share = np.clip(np.einsum("nk,nk->n", top - start, along) / square, 0.0, 1.0)
-        nearest_m = np.linalg.norm(start + share[:, np.newaxis] * along - top, axis=1).min()
-        inspected[k] = nearest_m <= towers.range_m
+    nearest_m = np.array([distance_to_legs_m(top, legs).min() for top in towers.top_m])
+    inspected = nearest_m <= towers.range_m
     return float(towers.weight[inspected].sum() / towers.weight.sum())
 
 
