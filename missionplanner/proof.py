@@ -190,12 +190,15 @@ def check_flight(scene: Scene, plan: FleetPlan, flight: FleetFlight) -> FlightCh
     found: list[tuple[Clearance, ...]] = []
     for task, vehicle, flown in zip(scene.tasks, plan.vehicles, flight.vehicles, strict=True):
         margins = Margins.of(replace(task.limits, tracking_error_m=0.0))
-        top_m = float(vehicle.waypoints_m[0, 2]) - task.limits.tracking_error_m
-        up = np.flatnonzero(flown.trajectory.position_m[:, 2] >= top_m)
-        if up.size == 0:
+        drift_m = _COLUMN_M + 2.0 * task.limits.tracking_error_m  # a real climb or descent is not plumb
+        position, top = flown.trajectory.position_m, vehicle.waypoints_m[0]
+        high = position[:, 2] >= top[2] - task.limits.tracking_error_m
+        column_m = np.hypot(*(top - vehicle.home_m)[:2]) + drift_m
+        away = np.hypot(*(position - vehicle.home_m)[:, :2].T) > column_m  # however low: that is what is looked for
+        up = np.flatnonzero(high | away)
+        if up.size == 0:  # it never left its pad
             found.append(())
             continue
-        drift_m = _COLUMN_M + 2.0 * task.limits.tracking_error_m  # a real descent is not plumb
         track = airborne_part(flown.trajectory, float(flown.trajectory.t_s[up[0]]), drift_m)
         legs = polyline_legs(track.position_m)
         found.append(worst_of_each(least_clearances(scene.space, scene.obstacles.names, margins, legs)))

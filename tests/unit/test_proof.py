@@ -412,6 +412,27 @@ def test_a_flight_too_low_is_told() -> None:
     assert not proof.check_flight(level, plan, flown(plan, moved(0, 0, -20.1))).ok
 
 
+def test_a_flight_that_never_got_to_its_height_is_too_low_all_the_way() -> None:
+    level = scene()
+    plan = by_hand(level)
+    (v,) = plan.vehicles
+    sunk = v.trajectory.position_m - np.maximum(0.0, v.trajectory.position_m[:, 2:] - 101.0) * [0, 0, 0.9]
+    assert sunk[:, 2].max() < 106
+    low = FleetFlight((FlownVehicle(v.name, v.sysid, replace(v.trajectory, position_m=sunk), v.arrival_s, 0.0),))
+    check = proof.check_flight(level, plan, low)
+    assert not check.ok
+    assert min(c.distance_m for c in check.clearances[0]) < 6.0
+
+
+def test_a_vehicle_that_stays_on_its_pad_keeps_clear() -> None:
+    level = scene()
+    plan = by_hand(level)
+    (v,) = plan.vehicles
+    waiting = Trajectory(np.array([0.0, 50.0]), np.array([v.home_m, v.home_m + np.array([1.5, 1.0, 0.5])]))
+    check = proof.check_flight(level, plan, FleetFlight((FlownVehicle(v.name, v.sysid, waiting, None, None),)))
+    assert (check.clearances, check.ok) == (((),), True)
+
+
 def test_two_that_flew_too_close_are_told() -> None:
     pair = scene(ALPHA, beside(30))
     plan = by_hand(pair, STRAIGHT, shifted(30.0))
