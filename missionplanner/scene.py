@@ -376,7 +376,7 @@ class _Builder:
                 )
             self._check_no_void(this, following)
         model = motion_model(vehicle)
-        self._check_takeoff(home, route[0], margins, None if straight_up else model.takeoff_distance_m(0.0))
+        self._check_takeoff(home, route[0], margins, None if straight_up else model.takeoff_distance_m(0.0, home[2]))
         end = ending(vehicle)
         if straight_up and end == "land":
             self._check_landing(route[-1], margins)
@@ -435,7 +435,7 @@ class _Builder:
             return np.array([x, y, z + height])
         aims = [spot.position_m[:2] - home[:2] for spot in after]
         aim = next((a for a in aims if np.linalg.norm(a) > _SAME_PLACE_M), np.array([0.0, 1.0]))
-        far_m = max(height / math.tan(limits.climb_angle_rad), motion_model(vehicle).takeoff_distance_m(height))
+        far_m = max(height / math.tan(limits.climb_angle_rad), motion_model(vehicle).takeoff_distance_m(height, z))
         across = aim / np.linalg.norm(aim) * far_m
         return np.array([x + across[0], y + across[1], z + height])
 

@@ -20,6 +20,7 @@ Ending = Literal["land", "rtl", "loiter"]
 TAKEOFF_ACCELERATION_M_S2 = 5.0
 LIFT_OFF_SHARE = 0.8
 """A plane rolls at full throttle up to this share of its cruise speed, then climbs (ArduPlane 4.5 in SITL)."""
+_PULL_UP_S = 0.5  # what is lost until it climbs at its greatest rate
 
 _RETURN_HEIGHT_M = {
     ("ardupilot", "copter"): 15.0,  # RTL_ALT
@@ -27,6 +28,11 @@ _RETURN_HEIGHT_M = {
     ("ardupilot", "plane"): 100.0,  # RTL_ALTITUDE
     ("px4", "plane"): 100.0,  # RTL_DESCEND_ALT of its planes
 }
+
+
+def true_airspeed(alt_amsl_m: float) -> float:
+    """Return true over indicated airspeed (the one that is commanded) in the standard atmosphere; 1 at sea level."""
+    return float(max(1.0 - 2.25577e-5 * alt_amsl_m, 0.1) ** -2.128)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +56,11 @@ class MotionModel:
         lowest = home_amsl_m + _RETURN_HEIGHT_M[self.autopilot, self.vehicle_class]
         return max(alt_amsl_m, lowest) if self.vehicle_class == "copter" else lowest
 
-    def takeoff_distance_m(self, height_m: float) -> float:
+    def takeoff_distance_m(self, height_m: float, home_amsl_m: float) -> float:
         """Return how far from its home a plane that climbs at its greatest rate has gained a height; 0: lifts off."""
-        roll_m = (LIFT_OFF_SHARE * self.cruise_speed_m_s) ** 2 / (2.0 * TAKEOFF_ACCELERATION_M_S2)
-        return roll_m + height_m * self.cruise_speed_m_s / self.climb_rate_m_s
+        speed_m_s = self.cruise_speed_m_s * true_airspeed(home_amsl_m + height_m)
+        roll_m = (LIFT_OFF_SHARE * speed_m_s) ** 2 / (2.0 * TAKEOFF_ACCELERATION_M_S2)
+        return roll_m + (height_m / self.climb_rate_m_s + _PULL_UP_S) * speed_m_s
 
 
 @dataclass(frozen=True, slots=True)

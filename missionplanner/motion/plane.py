@@ -44,7 +44,7 @@ from missionplanner.motion.state import (
     IntArray,
     kernel,
 )
-from missionplanner.vehicle import LIFT_OFF_SHARE, TAKEOFF_ACCELERATION_M_S2
+from missionplanner.vehicle import LIFT_OFF_SHARE, TAKEOFF_ACCELERATION_M_S2, true_airspeed
 
 _STEP_S = 0.025
 _L1_PERIOD_S = 17.0  # NAVL1_PERIOD
@@ -54,11 +54,7 @@ _HEIGHT_TIME_S = 2.0  # how fast a height error is flown out
 _AT_ALTITUDE_M = 0.3
 _POINT_M = 1e-6  # a shorter leg has no direction
 
-
-@kernel
-def true_airspeed(alt_amsl_m: float) -> float:
-    """Return true over indicated airspeed (the one that is commanded) in the standard atmosphere; 1 at sea level."""
-    return max(1.0 - 2.25577e-5 * alt_amsl_m, 0.1) ** -2.128
+_true_airspeed = kernel(true_airspeed)
 
 
 @kernel
@@ -76,7 +72,7 @@ def step(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -> None:
         circling = k[HALTED] != 0 or k[PHASE] == IDLE
         speed = math.hypot(s[VELOCITY], s[VELOCITY + 1])
         reach_m = max(_L1_DAMPING * _L1_PERIOD_S * speed / math.pi, 1.0)
-        wanted = route[w, SPEED] * true_airspeed(s[POSITION + 2])
+        wanted = route[w, SPEED] * _true_airspeed(s[POSITION + 2])
         rolling = not circling and route[w, BY_ALTITUDE] > 0.0 and speed < LIFT_OFF_SHARE * wanted
 
         course = math.atan2(s[VELOCITY + 1], s[VELOCITY])

@@ -200,6 +200,14 @@ def test_a_planes_takeoff_is_as_recorded() -> None:
     assert flight.position_m[-1, 2] == pytest.approx(644.0, abs=0.5)
 
 
+@pytest.mark.parametrize("home_amsl_m", [0.0, 2000.0])
+@pytest.mark.parametrize("height_m", [25.0, 60.0])
+def test_a_planes_takeoff_ends_where_the_scene_expects_it(home_amsl_m: float, height_m: float) -> None:
+    home, top = [0.0, 0.0, home_amsl_m], [0.0, 900.0, home_amsl_m + height_m]
+    flight, _ = predict(PLANE, home, *takeoff_points(PLANE, home, top))
+    assert flight.position_m[-1, 1] == pytest.approx(PLANE.takeoff_distance_m(height_m, home_amsl_m), abs=8.0)
+
+
 def test_a_plane_lands_where_its_glide_meets_the_ground_and_rests() -> None:
     start, place = [0.0, 0.0, 160.0], [900.0, 0.0, 100.0]
     navigator = Navigator([PLANE], [start])
