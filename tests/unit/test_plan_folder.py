@@ -183,6 +183,16 @@ def test_a_start_before_its_turn_is_noticed(folder: Path) -> None:
     assert "bravo: expected a start 5 s after mission start (fleet.launch_interval_s), got 4" in problem_of(folder)
 
 
+def test_another_mission_is_noticed(folder: Path) -> None:
+    edit(folder, lambda d: d["mission"]["obstacles"][0].update(radius_m=4))
+    assert "expected the mission and terrain it was planned for (sha256 " in problem_of(folder)
+
+
+def test_vehicles_in_another_order_are_noticed(folder: Path) -> None:
+    edit(folder, lambda d: d["vehicles"].reverse())
+    assert "expected plans for alpha, bravo, got others" in problem_of(folder)
+
+
 def test_a_waypoint_that_no_flight_reaches_is_refused_at_once(folder: Path) -> None:
     edit(folder, lambda d: waypoints(d).insert(1, {"position_m": [1e12, 0.0, 140.0]}))
     assert "vehicles.0.waypoints.1.position_m.0" in problem_of(folder)

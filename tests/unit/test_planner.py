@@ -66,6 +66,26 @@ def test_fleets_whose_straight_ways_cross_are_parted(vehicles: list[dict[str, An
     assert max(spread_s) - min(spread_s) <= 0.1
 
 
+@pytest.mark.parametrize(
+    "vehicles",
+    [
+        [copter("alpha", (0, 0), (300, 0)), copter("bravo", (270, 0), (-30, 0), speed_m_s={"min": 2, "max": 4})],
+        [
+            copter("alpha", (0, 0), (300, 0), stops=[at(150, 0, agl=40)]),
+            copter("bravo", (150, -150), (150, 150), stops=[at(150, 5, agl=40)]),
+        ],
+    ],
+    ids=["head-on at different speeds", "stops next to each other"],
+)
+def test_who_meets_although_their_ways_were_priced_is_planned_again(vehicles: list[dict[str, Any]]) -> None:
+    news: list[tuple[str, float]] = []
+    scene = scene_of(question(*vehicles, fleet={"arrive_together": False}))
+    plan = plan_fleet(scene, watch=lambda vehicle, done: news.append((vehicle, done)))
+    assert [name for name, done in news if done == 1.0].count("bravo") > 1  # else this tests nothing
+    assert proof.unsafe(scene, plan) == []
+    assert least_distance_m(plan) >= 24.0 - 1e-6
+
+
 def test_ways_may_cross_at_different_times() -> None:
     # bravo starts long after alpha has passed: no need to go around
     _, plan = planned(*CROSSING, fleet={"arrive_together": False, "launch_interval_s": 60})

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from missionplanner import proof
+from missionplanner import kernels, proof
 from missionplanner.clearance import Margins, polyline_legs
 from missionplanner.geodesy import FloatArray
 from missionplanner.path_search import PlannedPath
@@ -181,6 +181,20 @@ def test_a_hill_between_two_good_waypoints() -> None:
     assert inside.startswith("alpha: terrain clearance is -50.00 m at ")
     over: Line = [STRAIGHT[0], (75.0, 0.0, 215.0), (225.0, 0.0, 215.0), STRAIGHT[1]]
     assert reasons(scene(terrain=hump(90)), over) == []
+
+
+def test_a_steep_rock_under_a_long_leg_is_not_stepped_over() -> None:
+    rock = {**hump(60, spread_m=6), "cell_m": 2}
+    rock["peaks"][0] |= at(123.4, 0)
+    space = scene(terrain=rock, area={"south_west": at(-50, -50), "north_east": at(350, 50)}).space
+    leg = np.array([[[0.0, 0.0, 200.0], [300.0, 0.0, 200.0]]])
+    found = proof.least_clearances(space, (), Margins(22, np.inf, np.inf, 0, 0), leg)
+    (terrain,) = [c for c in found if c.what == "terrain"]
+    x = np.linspace(115, 132, 100_001)
+    ground = kernels.terrain_heights(space.terrain, np.stack([x, np.zeros_like(x)], axis=-1))
+    assert ground.max() > 150
+    assert terrain.distance_m == pytest.approx(200 - ground.max(), abs=0.02)
+    assert terrain.position_m[0] == pytest.approx(x[ground.argmax()], abs=0.1)
 
 
 def test_where_it_is_too_low_is_told_in_degrees() -> None:
