@@ -44,7 +44,7 @@ class Watch(Protocol):
         """Take the news."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Schedule:
     """When and how fast one vehicle flies its path."""
 
@@ -134,9 +134,15 @@ def assemble(
     scene: Scene, paths: Sequence[PlannedPath], schedules: Sequence[Schedule], arrival_s: float | None, seed: int
 ) -> FleetPlan:
     """Return the fleet plan of paths and schedules, flights predicted, nothing checked yet."""
+    rows = list(zip(scene.tasks, paths, schedules, strict=True))
+    flights = [_flight(*row, _goal_ground(scene, row[0])) for row in rows]
+    # planes circle for as long as others still fly: a place that is free now may not be in ten seconds
+    last_s = max(float(trajectory.t_s[-1]) for trajectory, _ in flights)
+    for index, row in enumerate(rows):
+        if row[0].motion.vehicle_class == "plane":
+            flights[index] = _flight(*row, _goal_ground(scene, row[0]), last_s)
     vehicles = []
-    for task, path, when in zip(scene.tasks, paths, schedules, strict=True):
-        trajectory, reached_s = _flight(task, path, when.speed_m_s, when.start_delay_s, _goal_ground(scene, task))
+    for (task, path, when), (trajectory, reached_s) in zip(rows, flights, strict=True):
         vehicles.append(
             VehiclePlan(
                 name=task.name,
@@ -191,23 +197,17 @@ def _speed(task: VehicleTask, path: PlannedPath, arrival_s: float) -> float:
 
 @lru_cache(maxsize=256)
 def _flight(
-    task: VehicleTask, path: PlannedPath, speed_m_s: float, start_delay_s: float, ground_amsl_m: float
+    task: VehicleTask, path: PlannedPath, when: Schedule, ground_amsl_m: float, until_s: float = 0.0
 ) -> tuple[Trajectory, FloatArray]:
-    return _predict(task, path.waypoints_m, speed_m_s, start_delay_s, ground_amsl_m)
-
-
-def _predict(
-    task: VehicleTask, waypoints_m: FloatArray, speed_m_s: float, start_delay_s: float, ground_amsl_m: float
-) -> tuple[Trajectory, FloatArray]:
-    """Return a vehicle's predicted flight, and when (W,) it reaches each waypoint."""
     return timing.predict_flight(
         task.motion,
         task.home_m,
-        waypoints_m,
-        speed_m_s,
+        path.waypoints_m,
+        when.speed_m_s,
         end=task.end,
         ground_amsl_m=ground_amsl_m,
-        start_delay_s=start_delay_s,
+        start_delay_s=when.start_delay_s,
+        until_s=until_s,
     )
 
 
@@ -249,10 +249,20 @@ def _path(
             clearance_extra_m=extra_m,
         )
 
+    # a plane's turns are wider the faster it flies, and what it cuts and overshoots at each speed differs
+    plane = task.motion.vehicle_class == "plane"
+    speeds_m_s = [task.limits.speed_max_m_s, *([task.limits.speed_min_m_s] if plane else [])]
+    ground_amsl_m = _goal_ground(scene, task)
+
     def flown_is_clear(waypoints_m: FloatArray) -> bool:
-        trajectory, reached_s = _predict(task, waypoints_m, task.limits.speed_max_m_s, 0.0, _goal_ground(scene, task))
-        airborne = proof.airborne_part(trajectory, float(reached_s[0]))
-        return bool(proof.all_clear(space, margins, polyline_legs(airborne.position_m)))
+        for speed_m_s in speeds_m_s:
+            trajectory, reached_s = timing.predict_flight(
+                task.motion, task.home_m, waypoints_m, speed_m_s, end=task.end, ground_amsl_m=ground_amsl_m
+            )
+            airborne = proof.airborne_part(trajectory, float(reached_s[0]))
+            if not proof.all_clear(space, margins, polyline_legs(airborne.position_m)):
+                return False
+        return True
 
     on_iteration = None if watch is None else lambda done: watch(task.name, done)
     return find_path(task, space, names, price_of, scene.mission.planner, rng, flown_is_clear, on_iteration)

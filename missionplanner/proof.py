@@ -289,8 +289,9 @@ def _ceiling(table: FloatArray, margins: Margins, legs: FloatArray) -> list[Clea
 
 
 def _columns(plan: VehiclePlan, sinks_s: float) -> FloatArray:
-    """Return the vertical take-off, and the flight from ``sinks_s`` on down to the ground, as legs."""
-    take_off = np.stack([plan.home_m, plan.waypoints_m[0]])[np.newaxis]
+    """Return the take-off, straight and as flown, and the flight from ``sinks_s`` on to the ground, as legs."""
+    climb = plan.trajectory.position_m[plan.trajectory.t_s <= plan.reached_s[0]]
+    take_off = np.concatenate([np.stack([plan.home_m, plan.waypoints_m[0]])[np.newaxis], polyline_legs(climb)])
     after = plan.trajectory.position_m[plan.trajectory.t_s >= sinks_s]
     if len(after) < 2:
         return take_off
