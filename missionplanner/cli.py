@@ -62,6 +62,11 @@ def main() -> None:
         if "--json" in sys.argv:
             print(json.dumps({"error": {"message": str(error), "exit_code": error.exit_code}}))
         sys.exit(error.exit_code)
+    except SystemExit as ended:
+        if ended.code == MissionError.exit_code and "--json" in sys.argv:  # wrong usage, told on stderr
+            message = "expected the arguments and options that --help tells"
+            print(json.dumps({"error": {"message": message, "exit_code": ended.code}}))
+        raise
     except KeyboardInterrupt:
         print("missionplanner: interrupted", file=sys.stderr)
         sys.exit(130)
@@ -233,6 +238,8 @@ def _ground_station(
         clock: Clock
         if connect is not None:
             urls = [url.strip() for url in connect.split(",") if url.strip()]
+            if not urls:
+                raise MissionError("--connect: expected at least one URL, e.g. udpin:0.0.0.0:14550, got none")
             endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in urls]
             clock = WallClock(endpoints)
         else:
@@ -322,15 +329,15 @@ def schema() -> None:
 def _scene(path: Path, algorithm: str | None = None) -> Scene:
     from missionplanner.mission import load_mission
     from missionplanner.scene import build_scene
+    from missionplanner.search.registry import find_algorithm
 
     mission = load_mission(path)
     if algorithm is not None:
-        from missionplanner.search.registry import find_algorithm
-
         find_algorithm(algorithm)
         settings = mission.planner.model_copy(update={"algorithm": algorithm})
         mission = mission.model_copy(update={"planner": settings})
     try:
+        find_algorithm(mission.planner.algorithm)
         return build_scene(mission, path.parent)
     except MissionError as error:
         raise MissionError(f"{path}: {error}") from error
@@ -344,7 +351,7 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
     """Plan with progress bars, and write the plan and its files."""
     from adapters.export import export_fleet
     from missionplanner.files import ensure_writable
-    from missionplanner.plan_folder import save_plan
+    from missionplanner.plan_folder import PLAN_NAME, save_plan
     from missionplanner.planner import plan_fleet
     from missionplanner.warmup import begin
 
@@ -363,10 +370,11 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
                 compiling.wait()  # flights come next: what the other process compiles would be compiled twice
 
         fleet_plan = plan_fleet(scene, seed=seed, watch=watch)
+    again = (folder / PLAN_NAME).exists()
     save_plan(folder, scene, fleet_plan)
     written = set(export_fleet(fleet_plan, folder / FILES))
     for path in (folder / FILES).iterdir():
-        if path.suffix in {".plan", ".waypoints"} and path not in written:
+        if again and path.suffix in {".plan", ".waypoints"} and path not in written:
             path.unlink()  # of an earlier plan: nobody shall upload it by mistake
     return fleet_plan
 
@@ -412,7 +420,7 @@ def _progress() -> Progress:
         TextColumn("{task.percentage:>3.0f} %"),
         TimeElapsedColumn(),
     )
-    return Progress(*columns, console=_stderr, transient=not _stderr.is_terminal)
+    return Progress(*columns, console=_stderr, disable=not _stderr.is_terminal)
 
 
 def _print_json(value: Any) -> None:

@@ -39,6 +39,8 @@ _CORNER_M = 24.0
 """How far from a corner its neighbouring control points stand in the first attempt; halved in each further one."""
 _SETTLING_COST = 0.003
 """Share of the price that may be given up for a curve of fewer bends."""
+_GENTLER = 0.85
+"""By how much guesses climb and descend less when the curves around them were too steep."""
 _ANGLE_SLACK_RAD = math.radians(0.5)
 """The search keeps this far inside the climb limit, because a chord may be steeper than the curve it cuts."""
 
@@ -111,16 +113,17 @@ def find_path(
         No clear path was found; the message names the vehicle and what blocks it.
     """
     corner_m = 0.2 * task.motion.waypoint_radius_m
+    gentleness = 1.0
     for attempt in range(_ATTEMPTS):
         # the fitted legs may leave the curve by the tolerance and the vehicle cuts its corners: room for both
         extra_m = settings.waypoint_tolerance_m + corner_m * (1 + attempt)
         try:
-            sections = _guess_sections(task, space, names, extra_m)
+            sections = _guess_sections(task, space, names, extra_m, gentleness)
         except InfeasibleError:
             if attempt > 0:
                 break  # there is a way, but no room to hold it closer
             extra_m = settings.waypoint_tolerance_m
-            sections = _guess_sections(task, space, names, extra_m)
+            sections = _guess_sections(task, space, names, extra_m, gentleness)
         price = price_of(extra_m)
         family = _cheapest_family(sections, _corner_m(task) / 2**attempt, price)
         result = _search(family, price, settings, rng, on_iteration if attempt == 0 else None)
@@ -137,6 +140,8 @@ def find_path(
                     history=result.history,
                     evaluations=result.evaluations,
                 )
+        if not legs_within_angles(task.limits, polyline_legs(family.base_m), _ANGLE_SLACK_RAD).all():
+            gentleness *= _GENTLER  # a curve cuts the bends of a climb that winds up, and gets steeper there
     raise InfeasibleError(
         f"{task.name}: found no path that stays clear by its whole margin, corners included, in {_ATTEMPTS} attempts: "
         "widen the gaps, reduce its safety distances, or move its stops"
@@ -208,16 +213,14 @@ def _flyable_legs(
 
 
 def _guess_sections(
-    task: VehicleTask, space: SpaceArrays, names: tuple[str, ...], extra_m: float
+    task: VehicleTask, space: SpaceArrays, names: tuple[str, ...], extra_m: float, gentleness: float
 ) -> list[list[FloatArray]]:
     """Return, for each pair of consecutive route points, clear polylines (K, 3) between them, the shortest first."""
-    limits = replace(
-        task.limits,
-        climb_angle_rad=max(task.limits.climb_angle_rad - 2 * _ANGLE_SLACK_RAD, 0.5 * task.limits.climb_angle_rad),
-        descent_angle_rad=max(
-            task.limits.descent_angle_rad - 2 * _ANGLE_SLACK_RAD, 0.5 * task.limits.descent_angle_rad
-        ),
+    climb_rad, descent_rad = (
+        gentleness * max(angle_rad - 2 * _ANGLE_SLACK_RAD, 0.5 * angle_rad)
+        for angle_rad in (task.limits.climb_angle_rad, task.limits.descent_angle_rad)
     )
+    limits = replace(task.limits, climb_angle_rad=climb_rad, descent_angle_rad=descent_rad)
     sections = []
     for index, (start, goal) in enumerate(pairwise(task.route_m)):
         try:

@@ -72,8 +72,14 @@ def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = N
 
     delays_s = [index * scene.mission.fleet.launch_interval_s for index in range(len(paths))]
     avoided: list[list[CableSolid]] = [[] for _ in paths]
+    conflict: Conflict | None = None
     for round_ in range(_ROUNDS):
-        schedules, arrival_s = schedule(scene, paths, delays_s)
+        try:
+            schedules, arrival_s = schedule(scene, paths, delays_s)
+        except InfeasibleError:
+            if conflict is None:
+                raise
+            break  # what would part them keeps them from arriving together
         plan = assemble(scene, paths, schedules, arrival_s, seed)
         conflict = proof.worst_conflict(scene, plan)
         if conflict is None:

@@ -93,15 +93,14 @@ def edited(planned: Path, folder: Path, change: Callable[[dict[str, Any]], objec
 def expect_refusal(outcome: Outcome, code: int, *expected: str) -> None:
     """Check that there is exactly one line, with everything expected in it, and the same as JSON where asked for."""
     assert outcome.code == code, outcome.err
-    line = outcome.err.lstrip("\n")
-    assert line.startswith("missionplanner: ")
-    assert line.count("\n") == 1
-    assert line.endswith("\n")
-    assert len(line) < 1000
+    assert outcome.err.startswith("missionplanner: ")
+    assert outcome.err.count("\n") == 1
+    assert outcome.err.endswith("\n")
+    assert len(outcome.err) < 1000
     for part in expected:
-        assert part in line
+        assert part in outcome.err
     if outcome.out:
-        message = line.removeprefix("missionplanner: ").removesuffix("\n")
+        message = outcome.err.removeprefix("missionplanner: ").removesuffix("\n")
         assert outcome.json == {"error": {"message": message, "exit_code": code}}
 
 
@@ -161,6 +160,10 @@ WRONG_MISSIONS = {
         ["home", "alpha", "bravo", "the same place"],
     ),
     "negative radius": (question(obstacles=[MAST | {"radius_m": -5}]), ["obstacles[0].radius_m", "above 0", "-5"]),
+    "unknown algorithm": (
+        question(planner={"algorithm": "pso-abc-as"}),
+        ["pso-abc-as", "did you mean", "pso-abc-sa"],
+    ),
 }
 
 
@@ -467,6 +470,20 @@ def test_options_that_contradict_each_other(cli: Cli, planned: Path) -> None:
         expect_refusal(cli("sim", "--home", wrong, "--connect", "udpout:127.0.0.1:9"), 2, "--home", wrong)
 
 
+def test_no_link_at_all(cli: Cli, planned: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(planned, tmp_path / "copy"))
+    expect_refusal(cli("fly", copy, "--connect", " , ", "--json"), 2, "--connect", "expected at least one URL")
+
+
+@pytest.mark.parametrize("wrong", [["plan"], ["plan", "a", "b"], ["plan", "a", "--sed", "3"], ["sim"], ["fli", "a"]])
+def test_wrong_usage_is_told_to_machines_too(cli: Cli, wrong: list[str]) -> None:
+    outcome = cli(*wrong, "--json")
+    assert outcome.code == 2
+    assert "Traceback" not in outcome.err
+    assert "Usage: " in outcome.err
+    assert outcome.json["error"]["exit_code"] == 2
+
+
 # --- what works
 
 
@@ -474,7 +491,7 @@ def test_plan_says_what_it_wrote(cli: Cli, tmp_path: Path) -> None:
     path = mission_file(tmp_path, question())
     outcome = cli("plan", path, "-o", "out", "--seed", "5", "--json")
     assert outcome.code == 0
-    assert outcome.err.strip() == ""
+    assert outcome.err == ""
     summary = outcome.json
     assert (summary["mission"], summary["seed"]) == ("small", 5)
     assert [v["name"] for v in summary["vehicles"]] == ["alpha", "bravo"]
@@ -502,6 +519,20 @@ def test_another_algorithm_by_option(cli: Cli, tmp_path: Path) -> None:
         cli("plan", path, "-o", "other", "--algorithm", "psso", "--json"), 2, "'psso'", "did you mean pso or"
     )
     assert not (tmp_path / "other").exists()
+
+
+def test_a_new_plan_takes_the_old_ones_place_and_nothing_elses(cli: Cli, tmp_path: Path) -> None:
+    files = tmp_path / "out" / "files"
+    files.mkdir(parents=True)
+    (files / "mine.plan").write_text("drawn by hand")
+    path = mission_file(tmp_path, question())
+    assert cli("plan", path, "-o", "out").code == 0
+    assert (files / "mine.plan").read_text() == "drawn by hand"
+    path = mission_file(tmp_path, question(copter("charlie", (0, 0), (300, 0))))
+    assert cli("plan", path, "-o", "out").code == 0
+    assert {p.name for p in files.iterdir()} >= {"charlie.plan", "charlie.waypoints"}
+    assert not (files / "alpha.plan").exists()
+    assert not (files / "bravo.waypoints").exists()
 
 
 def test_validate_says_what_it_saw(cli: Cli, tmp_path: Path) -> None:

@@ -111,6 +111,13 @@ def test_stops_are_waypoints_in_their_order() -> None:
     assert at_stop == sorted(at_stop)
 
 
+def test_a_climb_too_steep_for_the_straight_way_winds_up() -> None:
+    steep = scene(copter("alpha", (0, 0), (100, 0), goal=at(100, 0, agl=160), climb={"angle_max_deg": 30}))
+    path = found(steep)
+    assert_flyable(steep, path)
+    assert path.length_m > 120.0 / np.sin(np.radians(30)) > 230.0
+
+
 def test_the_search_only_improves_and_reports_what_it_did() -> None:
     news: list[float] = []
     around = scene(obstacles=[MAST])

@@ -142,6 +142,17 @@ def test_windows_that_do_not_meet() -> None:
     assert plan.arrival_s is not None
 
 
+def test_a_fleet_that_cannot_be_parted_is_refused_with_its_pair() -> None:
+    # two that must pass each other in a lane too narrow and low for it, arriving together
+    lane = {"south_west": at(-40, -13), "north_east": at(340, 13)}
+    low = {"height_agl_max_m": 45}
+    vehicles = [copter("alpha", (0, 0), (300, 0), **low), copter("bravo", (260, 0), (40, 0), **low)]
+    with pytest.raises(InfeasibleError, match=r"alpha and bravo come within|bravo and alpha come within") as raised:
+        planned(*vehicles, area=lane)
+    assert "fleet.separation_m" in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
 def test_endurance_too_short_is_refused() -> None:
     with pytest.raises(InfeasibleError, match=r"alpha: flies \d+ s, longer than its endurance of 45 s"):
         planned(copter("alpha", (0, 0), (300, 0), endurance_s=45))
