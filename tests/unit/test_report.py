@@ -60,6 +60,7 @@ def question(vehicles: int = 2, **changes: Any) -> dict[str, Any]:
         "obstacles": OBSTACLES,
         "fence": {"polygon": [at(-150, -300), at(750, -300), at(750, 450), at(-150, 450)]},
         "inspection": {
+            "share_min": 0.0,
             "towers": [{"name": f"T{i}", **at(120 + 70 * i, 20 + 15 * i), "height_m": 20} for i in range(5)],
             "conductor_radius_m": 4,
         },
