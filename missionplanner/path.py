@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
 
 from missionplanner.geodesy import FloatArray
 
@@ -39,7 +38,31 @@ def basis(knots: FloatArray, samples: FloatArray) -> FloatArray:
     >>> paths.shape
     (50, 96, 3)
     """
-    matrix: FloatArray = CubicSpline(knots, np.eye(len(knots)), bc_type="natural")(samples)
+    count = len(knots)
+    gap = np.diff(knots)
+    if not (gap > 0.0).all():
+        raise ValueError("expected rising knots")
+    # second derivatives at the knots, as rows of weights of the control points: zero at the ends
+    bend = np.zeros((count, count))
+    if count > 2:
+        inner = np.arange(1, count - 1)
+        left, right = gap[:-1], gap[1:]
+        system = np.diag(2.0 * (left + right)) + np.diag(right[:-1], 1) + np.diag(left[1:], -1)
+        rise = np.zeros((count - 2, count))
+        rise[inner - 1, inner - 1] = 6.0 / left
+        rise[inner - 1, inner] = -6.0 / left - 6.0 / right
+        rise[inner - 1, inner + 1] = 6.0 / right
+        bend[1:-1] = np.linalg.solve(system, rise)
+    piece = np.clip(np.searchsorted(knots, samples, side="right") - 1, 0, count - 2)
+    width = gap[piece]
+    after = (samples - knots[piece]) / width
+    before = 1.0 - after
+    matrix = np.zeros((len(samples), count))
+    rows = np.arange(len(samples))
+    matrix[rows, piece] = before
+    matrix[rows, piece + 1] += after
+    matrix += ((before**3 - before) * width**2 / 6.0)[:, np.newaxis] * bend[piece]
+    matrix += ((after**3 - after) * width**2 / 6.0)[:, np.newaxis] * bend[piece + 1]
     return matrix
 
 

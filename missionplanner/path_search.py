@@ -31,7 +31,7 @@ from missionplanner.seeds import first_guesses
 from missionplanner.waypoints import fit_waypoints
 
 _ATTEMPTS = 5
-_GUESSES_PER_SECTION = 3
+_GUESSES_PER_SECTION = 2
 _SAMPLES = 200
 """On an evenly sampled path, beyond which the way is long enough for coarser steps; corners get more."""
 _SAMPLE_M = 15.0

@@ -266,7 +266,7 @@ def _path(
                 task.motion, task.home_m, waypoints_m, speed_m_s, end=task.end, ground_amsl_m=ground_amsl_m
             )
             airborne = proof.airborne_part(trajectory, float(reached_s[0]))
-            if not proof.all_clear(space, margins, polyline_legs(airborne.position_m)):
+            if not proof.all_clear(space, margins, proof.curve_legs(airborne)):
                 return False
         return True
 

@@ -20,6 +20,7 @@ from missionplanner.plan import Clearance, FleetFlight, FleetPlan, Trajectory, V
 from missionplanner.scene import Scene, VehicleTask
 
 TERRAIN_STEP_M = 0.1
+_TICKS_PER_CHORD = 4
 ARRIVAL_ERROR_MAX_S = 0.5
 """How far a predicted arrival may be from the common one."""
 
@@ -165,7 +166,7 @@ def clearances(scene: Scene, task: VehicleTask, plan: VehiclePlan) -> tuple[Clea
     anywhere = replace(margins, height_agl_min_m=-np.inf, height_agl_max_m=np.inf, alt_amsl_max_m=np.inf)
     found = [
         *least_clearances(space, names, margins, polyline_legs(plan.waypoints_m)),
-        *least_clearances(space, names, margins, polyline_legs(airborne.position_m)),
+        *least_clearances(space, names, margins, curve_legs(airborne)),
         *least_clearances(space, names, anywhere, columns),
     ]
     return worst_of_each(found)
@@ -205,6 +206,12 @@ def check_flight(scene: Scene, plan: FleetPlan, flight: FleetFlight) -> FlightCh
     tracks = [vehicle.trajectory for vehicle in flight.vehicles]
     nearest = _nearest_pair(scene, plan, tracks, with_tracking_error=False)
     return FlightCheck(tuple(found), _separation(nearest, tracks))
+
+
+def curve_legs(predicted: Trajectory) -> FloatArray:
+    """Return a predicted flight as legs (N, 2, 3) of 0.2 s: chords of its ticks, at most 2 cm off at 4 m/s^2."""
+    position = predicted.position_m
+    return polyline_legs(np.concatenate([position[:-1:_TICKS_PER_CHORD], position[-1:]]))
 
 
 def airborne_part(trajectory: Trajectory, airborne_s: float, column_m: float = _COLUMN_M) -> Trajectory:

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from missionplanner import path
 
@@ -85,3 +86,12 @@ class TestMeasures:
         np.testing.assert_allclose(path.resample(corner, [5.0, 20.0]), [[5.0, 0, 0], [10.0, 10.0, 0]])
         even = path.evenly(corner, 5)
         np.testing.assert_allclose(even[[0, 1, 4]], [[0, 0, 0], [10, 0, 0], [10, 30, 0]])
+
+
+@pytest.mark.parametrize("controls", [2, 3, 4, 40])
+def test_the_basis_is_scipys_natural_spline(controls: int) -> None:
+    rng = np.random.default_rng(controls)
+    knots = np.cumsum(rng.uniform(0.5, 100.0, controls))
+    samples = np.concatenate([knots, rng.uniform(knots[0], knots[-1], 200)])
+    expected = CubicSpline(knots, np.eye(controls), bc_type="natural")(samples)
+    np.testing.assert_allclose(path.basis(knots, samples), expected, atol=1e-12)
