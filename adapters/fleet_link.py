@@ -116,11 +116,11 @@ _AUTOPILOTS: dict[int, Autopilot] = {
 _COPTERS = frozenset({2, 3, 4, 13, 14, 15, 29, 35})  # MAV_TYPE: multirotors, coaxial and helicopters
 _PLANES = frozenset({1, *range(19, 26)})  # fixed wing and VTOL
 
-# HEARTBEAT.custom_mode by what we want: a mode to be armed in that leaves the vehicle on the ground, and the others.
+# HEARTBEAT.custom_mode by what we want; "hold" is also the mode to be armed in, in which a copter stays on the ground.
 # ArduPlane has no mode that lands where it is: it returns. PX4 packs main and sub mode.
 _MODES: dict[tuple[Autopilot, VehicleClass], dict[Order, int]] = {
     ("ardupilot", "copter"): {"hold": 4, "auto": 3, "land": 9, "rtl": 6},
-    ("ardupilot", "plane"): {"hold": 5, "auto": 10, "land": 11, "rtl": 11},
+    ("ardupilot", "plane"): {"hold": 12, "auto": 10, "land": 11, "rtl": 11},
     **{
         ("px4", kind): {
             "hold": 4 << 16 | 3 << 24,
@@ -131,6 +131,8 @@ _MODES: dict[tuple[Autopilot, VehicleClass], dict[Order, int]] = {
         for kind in ("copter", "plane")
     },
 }
+# ArduPlane is armed in FBWA, which waits for the sticks: good on the ground, never to be ordered in the air
+_ARMING_MODES: dict[tuple[Autopilot, VehicleClass], int] = {("ardupilot", "plane"): 5}
 _MESSAGE_INTERVALS_S = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.2,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
@@ -154,7 +156,7 @@ class FleetLink:
         *,
         log: FleetLog | None = None,
         home_tolerance_m: float = 10.0,
-        altitude_tolerance_m: float = 20.0,
+        altitude_tolerance_m: float = 5.0,
     ) -> None:
         self._plan = plan
         self._clock = clock
@@ -281,6 +283,16 @@ class FleetLink:
         """Return what has been recorded so far."""
         return FleetFlight(tuple(vehicle.flown() for vehicle in self._vehicles.values()))
 
+    @property
+    def armed(self) -> list[str]:
+        """The names of the vehicles that are armed."""
+        return [vehicle.plan.name for vehicle in self._vehicles.values() if vehicle.armed]
+
+    @property
+    def started(self) -> bool:
+        """Whether the fleet's start has been commanded."""
+        return self._start_s is not None
+
     def order(self, order: Order) -> None:
         """Send every armed vehicle home, down, into a hover, or (``auto``) on with its mission.
 
@@ -339,7 +351,8 @@ class FleetLink:
             yield
         self._check_home(vehicle)
         yield from self._rewinding(vehicle)
-        yield from self._switching(vehicle, "hold")
+        kind = (vehicle.plan.autopilot, vehicle.plan.vehicle_class)
+        yield from self._into_mode(vehicle, _ARMING_MODES.get(kind, vehicle.modes["hold"]), "its arming mode")
         if progress is not None:
             progress(vehicle.plan.name, "ready")
 
@@ -362,11 +375,13 @@ class FleetLink:
             yield
 
     def _switching(self, vehicle: _Vehicle, order: Order) -> Steps:
-        mode = vehicle.modes[order]
+        yield from self._into_mode(vehicle, vehicle.modes[order], order)
+
+    def _into_mode(self, vehicle: _Vehicle, mode: int, name: str) -> Steps:
         main, sub = (mode, 0) if vehicle.plan.autopilot == "ardupilot" else (mode >> 16 & 0xFF, mode >> 24)
         result = yield from self._commanding(vehicle, mavlink.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE, main, sub)
         if result != mavlink.MAV_RESULT_ACCEPTED:
-            raise vehicle.error(f"refused to switch to {order} (mode {mode}){vehicle.said(self._clock.now_s())}")
+            raise vehicle.error(f"refused to switch to {name} (mode {mode}){vehicle.said(self._clock.now_s())}")
 
     def _arming(self, vehicle: _Vehicle) -> Steps:
         command = mavlink.MAV_CMD_COMPONENT_ARM_DISARM

@@ -20,7 +20,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from missionplanner.errors import InfeasibleError, MissionError, MissionPlannerError
+from missionplanner.errors import InfeasibleError, LinkError, MissionError, MissionPlannerError
 
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
     from adapters.fleet_link import Clock, FleetLink, Order, VehicleStatus
@@ -121,7 +121,7 @@ def sim(
     vehicles: Annotated[int, typer.Option(min=1, max=250, help="how many; sysids from 1")] = 1,
     autopilot: Annotated[Literal["ardupilot", "px4"], typer.Option()] = "ardupilot",
     vehicle_class: Annotated[Literal["copter", "plane"], typer.Option("--class")] = "copter",
-    spacing_m: Annotated[float, typer.Option(min=0.0, help="distance between homes, eastwards")] = 10.0,
+    spacing_m: Annotated[float, typer.Option(min=0.0, max=10_000.0, help="distance between homes, eastwards")] = 10.0,
     connect: Annotated[
         str | None, typer.Option(metavar="URL", help="all vehicles send there, e.g. udpout:127.0.0.1:14540")
     ] = None,
@@ -200,12 +200,19 @@ def fly(
     scene, fleet_plan, folder = _safe_plan(target, output, seed)
     with _ground_station(scene, fleet_plan, folder, connect, speedup) as link:
         _transfer(link)
-        flight = _start_and_watch(link, fleet_plan, simulated=connect is None)
-    save_flight(folder, flight)
+        try:
+            flight = _start_and_watch(link, fleet_plan, simulated=connect is None)
+        finally:
+            recorded = link.flight()
+            if all(len(vehicle.trajectory.t_s) for vehicle in recorded.vehicles):
+                save_flight(folder, recorded)  # also of a flight that ended badly: then it is wanted most
     check = check_flight(scene, fleet_plan, flight)
     with _stderr.status("writing the report"):
         report_path = write_report(folder, scene, fleet_plan, flight)
     _show(fleet_plan, folder, as_json, flight, check, report_path)
+    missing = [vehicle.name for vehicle in flight.vehicles if vehicle.arrival_s is None]
+    if missing:
+        raise InfeasibleError(f"{folder}: {', '.join(missing)} never reached the goal: see {report_path}")
     if not check.ok:
         raise InfeasibleError(f"{folder}: the flight did not keep every clearance: see {report_path}")
 
@@ -276,8 +283,25 @@ def _transfer_bars(progress: Progress, what: str) -> Callable[[str, int, int], N
 
 def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool) -> FleetFlight:
     """Start all together and watch until all have ended; an interrupt asks what the vehicles shall do."""
-    with _stderr.status("waiting until all can be armed") as status:
-        link.start(lambda name, missing: status.update(f"{name}: {missing}"))
+    failure: LinkError | None = None
+    try:
+        with _stderr.status("waiting until all can be armed") as status:
+            link.start(lambda name, missing: status.update(f"{name}: {missing}"))
+    except LinkError as error:
+        if not link.armed:
+            raise
+        failure = error  # somebody who was to start later has not; the others fly and are watched
+        print(f"missionplanner: {error}; watching the others", file=sys.stderr)
+    except KeyboardInterrupt:
+        _leave(link, simulated=simulated)
+        raise
+    flight = _watch(link, fleet_plan, simulated=simulated)
+    if failure is not None:
+        raise failure
+    return flight
+
+
+def _watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool) -> FleetFlight:
     with _progress() as progress:
         ends_s = {vehicle.sysid: float(vehicle.trajectory.t_s[-1]) for vehicle in fleet_plan.vehicles}
         bars = {v.sysid: progress.add_task(f"flying {v.name}", total=ends_s[v.sysid]) for v in fleet_plan.vehicles}
@@ -291,13 +315,17 @@ def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool)
             return link.watch(show)
         except KeyboardInterrupt:
             progress.stop()
-            if not simulated:
-                _leave(link)
+            _leave(link, simulated=simulated)
             raise
 
 
-def _leave(link: FleetLink) -> None:
+def _leave(link: FleetLink, *, simulated: bool) -> None:
     """Ask what flying vehicles shall do when the operator interrupts; without a terminal they fly on."""
+    if simulated:
+        return
+    if not link.armed:
+        print("missionplanner: no vehicle is armed", file=sys.stderr)
+        return
     choice = "auto" if not sys.stdin.isatty() else ""
     while choice not in _ORDERS:
         choice = typer.prompt(f"vehicles are flying: {', '.join(_ORDERS)}? (auto: fly on)", default="auto", err=True)

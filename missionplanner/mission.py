@@ -28,7 +28,7 @@ Longitude = Annotated[float, Strict(), Field(ge=-180, le=180)]
 Angle = Annotated[float, Strict(), Field(gt=0, lt=90)]
 Share = Annotated[float, Strict(), Field(ge=0, le=1)]
 Flag = Annotated[bool, Strict()]
-Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^[\w.-]+$")]
+Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^\w[\w.-]*$")]
 
 
 class Model(BaseModel):

@@ -90,7 +90,7 @@ class _PlanRecord(_Record):
     format: Literal["missionplanner-plan"]
     version: Literal[1]
     software_version: str
-    seed: int
+    seed: Annotated[int, Field(ge=0)]
     input_sha256: str
     mission: dict[str, Any]
     arrival_s: float | None

@@ -288,6 +288,13 @@ class _Builder:
 
     def _top(self, obstacle: mission.Cylinder | mission.NoFly, outline: FloatArray, what: str) -> float:
         if obstacle.top_alt_amsl_m is not None:
+            heights = self._terrain.height_amsl_m(outline[:, 0], outline[:, 1])
+            ground = float(np.nanmin(heights)) if np.isfinite(heights).any() else -math.inf
+            if obstacle.top_alt_amsl_m <= ground:
+                raise MissionError(
+                    f"{what}: expected top_alt_amsl_m above the ground there ({ground:.1f} m AMSL), got "
+                    f"{obstacle.top_alt_amsl_m:g}: for a height above ground write top_height_agl_m"
+                )
             return obstacle.top_alt_amsl_m
         if obstacle.top_height_agl_m is None:
             return math.inf
@@ -547,7 +554,7 @@ class _Builder:
             )
 
     def _check_apart(self, tasks: Sequence[VehicleTask]) -> None:
-        vehicles, separation_m = self._mission.vehicles, self._mission.fleet.separation_m
+        vehicles = self._mission.vehicles
         together = self._mission.fleet.arrive_together
 
         def check(i: int, j: int, field: str, distance: float, need: float) -> None:
@@ -555,12 +562,14 @@ class _Builder:
                 got = "the same place" if distance < 0.01 else f"{distance:.1f} m"
                 raise MissionError(
                     f"{_named(j, vehicles[j], field)}: expected at least {max(need, 0.01):g} m from the {field} of "
-                    f"{_named(i, vehicles[i])} (fleet.separation_m), got {got}: move one of them"
+                    f"{_named(i, vehicles[i])} (fleet.separation_m and both tracking errors), got {got}: move one of "
+                    "them"
                 )
 
         starts = [self._position(v.start, _named(i, v, "start")) if v.start else None for i, v in enumerate(vehicles)]
         for (i, a), (j, b) in itertools.combinations(enumerate(tasks), 2):
             start_a, start_b = starts[i], starts[j]
+            separation_m = self._mission.fleet.separation_m + a.limits.tracking_error_m + b.limits.tracking_error_m
             if start_a is not None and start_b is not None:
                 check(i, j, "start", float(np.linalg.norm(start_a - start_b)), 0.0)
             check(i, j, "home", _apart_across_m(a.home_m, b.home_m), separation_m)

@@ -41,11 +41,16 @@ LAW = settings(max_examples=40, deadline=None, suppress_health_check=[HealthChec
 @LAW
 @given(AUTOPILOTS, ITEMS)
 def test_what_is_accepted_is_stored_once_and_for_all(autopilot: Autopilot, item: MissionItem) -> None:
-    """An accepted item reads back as a fixed point: uploading the read-back changes nothing more."""
+    """An accepted item reads back as a fixed point: uploading the read-back changes nothing more.
+
+    But for a centimetre: ArduPilot tells 30 cm as 30 * 0.01f, which is below 0.3, and cuts that to 29 cm.
+    """
     kind = personality(autopilot, "copter")
     if item.command in kind.transfer.commands and item.frame in kind.transfer.frames and kind.check(item) == 0:
         once = kind.stored(item)
-        assert repr(kind.stored(once)) == repr(once)
+        again = kind.stored(once)
+        assert abs(again.z - once.z) <= 0.0101
+        assert repr(replace(again, z=once.z)) == repr(once)
         if not math.isclose(once.z, item.z, abs_tol=0.0101):
             assert once.z == 0.0  # of an item without a place
         assert (once.x, once.y) in {(item.x, item.y), (0, 0)}

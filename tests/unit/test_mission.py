@@ -323,3 +323,9 @@ def test_one_top_is_enough() -> None:
         MissionError, match=r"obstacles\[0\]: expected at most one of top_alt_amsl_m and top_height_agl_m"
     ):
         parse_mission(text, "m.yaml")
+
+
+@pytest.mark.parametrize("name", ["..", ".", "-o", ".hidden", "a/b", ""])
+def test_a_name_cannot_lead_elsewhere(name: str) -> None:
+    with pytest.raises(MissionError, match="name"):
+        parse_mission(SMALL.replace("name: small", f"name: {name!r}", 1), "x.yaml")

@@ -164,7 +164,7 @@ def test_circling_planes_stay_apart() -> None:
     first = {"class": "plane", "goal": at(600, 0, agl=60)}
     second = {"class": "plane", "home": at(0, 200), "goal": at(600, 130, agl=60)}
     problem = problem_of(flying(first, second))
-    assert "(v1): expected to stay at its end at least 20 m from" in problem
+    assert "(v1): expected to stay at its end at least 24 m from" in problem
     assert "got 10.0 m" in problem
     scene_of(flying(first, {**second, "goal": at(600, 145, agl=60)}))
     scene_of(flying(first, {**second, "goal": at(600, 130, agl=85)}))
@@ -330,15 +330,15 @@ def test_a_stand_off_below_the_margins_is_told_with_its_tower() -> None:
 @pytest.mark.parametrize(
     ("first", "second", "problem"),
     [
-        ({}, {"goal": at(500, 90, 150)}, "vehicles[1].home (v1): expected at least 20 m from the home of "
-         "vehicles[0] (v0) (fleet.separation_m), got the same place: move one of them"),
-        ({}, {"home": at(0, 15), "goal": at(500, 90, 150)}, "vehicles[1].home (v1): expected at least 20 m from the "
-         "home of vehicles[0] (v0) (fleet.separation_m), got 15.0 m"),
+        ({}, {"goal": at(500, 90, 150)}, "vehicles[1].home (v1): expected at least 24 m from the home of "
+         "vehicles[0] (v0) (fleet.separation_m and both tracking errors), got the same place: move one of them"),
+        ({}, {"home": at(0, 15), "goal": at(500, 90, 150)}, "vehicles[1].home (v1): expected at least 24 m from the "
+         "home of vehicles[0] (v0) (fleet.separation_m and both tracking errors), got 15.0 m"),
         ({"start": at(60, 0, 150)}, {"home": at(0, 90), "start": at(60, 0, 150), "goal": at(500, 90, 150)},
-         "vehicles[1].start (v1): expected at least 0.01 m from the start of vehicles[0] (v0) (fleet.separation_m), "),
-        ({}, {"home": at(0, 90)}, "vehicles[1].goal (v1): expected at least 20 m from the goal of vehicles[0] (v0)"),
-        ({}, {"home": at(0, 90), "goal": at(510, 0, 190)}, "vehicles[1].goal (v1): expected at least 20 m from the g"),
-        ({"end": "rtl"}, {"end": "rtl", "home": at(0, 90)}, "vehicles[1].goal (v1): expected at least 20 m from the "),
+         "vehicles[1].start (v1): expected at least 0.01 m from the start of vehicles[0] (v0) (fleet.separation_m "),
+        ({}, {"home": at(0, 90)}, "vehicles[1].goal (v1): expected at least 24 m from the goal of vehicles[0] (v0)"),
+        ({}, {"home": at(0, 90), "goal": at(510, 0, 190)}, "vehicles[1].goal (v1): expected at least 24 m from the g"),
+        ({"end": "rtl"}, {"end": "rtl", "home": at(0, 90)}, "vehicles[1].goal (v1): expected at least 24 m from the "),
     ],
 )  # fmt: skip
 def test_two_vehicles_need_two_places(first: dict[str, Any], second: dict[str, Any], problem: str) -> None:
@@ -357,7 +357,7 @@ def test_vehicles_that_never_meet_may_share_a_goal() -> None:
 def test_even_without_separation_no_two_homes_are_one() -> None:
     both = ({}, {"goal": at(500, 90, 150)})
     assert "the same place" in problem_of(flying(*both, fleet={"separation_m": 0}))
-    scene_of(flying({}, {"home": at(0, 1), "goal": at(500, 90, 150)}, fleet={"separation_m": 0}))
+    scene_of(flying({}, {"home": at(0, 5), "goal": at(500, 90, 150)}, fleet={"separation_m": 0}))
 
 
 # --- wrong terrain
@@ -495,3 +495,11 @@ def test_peaks_stand_where_the_mission_says() -> None:
     assert portable_mission(scene).terrain == scene.mission.terrain
     far = [{**peaks[0], "x_m": 1e7}]
     assert "terrain.peaks[0]: expected a place within" in problem_of(question(terrain={"kind": "peaks", "peaks": far}))
+
+
+def test_an_obstacle_below_the_ground_is_a_height_in_the_wrong_datum() -> None:
+    buried = {"kind": "cylinder", "name": "mast", "center": at(300, 200), "radius_m": 5, "top_alt_amsl_m": 60}
+    problem = problem_of(question(obstacles=[buried]))
+    assert "(mast)" in problem
+    assert "expected top_alt_amsl_m above the ground there (100.0 m AMSL), got 60" in problem
+    assert "top_height_agl_m" in problem

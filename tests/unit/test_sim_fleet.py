@@ -66,10 +66,18 @@ def test_connected_vehicles_share_the_ground_stations_port_and_have_their_own() 
     assert len(set.union(*heard.values())) == 3
 
 
+def _listens(fleet: SimFleet, port: int) -> bool:
+    try:
+        listen_fleet(fleet, f"tcp:127.0.0.1:{port}")
+    except LinkError:  # somebody else's port
+        return False
+    return True
+
+
 def test_listening_vehicles_are_ten_ports_apart() -> None:
     fleet = SimFleet(sim_vehicles(2, HOME))
-    listen_fleet(fleet, "tcp:127.0.0.1:25760")
-    clients = [open_endpoint(f"tcp:127.0.0.1:{25760 + 10 * i}") for i in range(2)]
+    first = next(port for port in range(25760, 26760, 37) if _listens(fleet, port))
+    clients = [open_endpoint(f"tcp:127.0.0.1:{first + 10 * i}") for i in range(2)]
     fleet.advance(1.5)
     heard = [{m.get_srcSystem() for m in parsed(mavlink.MAVLink(None), client)} for client in clients]
     for endpoint in (*clients, *fleet.endpoints()):
