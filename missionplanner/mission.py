@@ -575,7 +575,7 @@ _EXPECTED = {
     "model_attributes_type": "a mapping of fields",
     "dict_type": "a mapping of fields",
     "literal_error": "{expected}",
-    "string_pattern_mismatch": "a name of letters, digits, '_', '-' and '.'",
+    "string_pattern_mismatch": "a name of letters, digits, '_', '-' and '.', beginning with neither '-' nor '.'",
     "string_too_short": "at least {min_length} character",
     "string_too_long": "at most {max_length} characters",
 }

@@ -13,7 +13,7 @@ from missionplanner.document import parse_document
 from missionplanner.errors import MissionError
 from missionplanner.mission import Mission, parse_mission
 
-NAMES = st.from_regex(r"\A[A-Za-z0-9_.-]{1,40}\Z")
+NAMES = st.from_regex(r"\A[A-Za-z0-9_][A-Za-z0-9_.-]{0,39}\Z")
 FINITE = st.floats(-50_000, 50_000)
 POSITIVE = st.floats(0.1, 1000)
 PLACES = st.one_of(

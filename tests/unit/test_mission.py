@@ -122,7 +122,7 @@ def test_missions_made_in_python_share_defaults_too() -> None:
         ("name: bravo", "name: bravo\n    sysid: 1.5", "vehicles[1].sysid", "expected a whole number, got 1.5"),
         ("name: bravo", "name: bravo\n    sysid: 251", "vehicles[1].sysid", "expected a number of at most 250, got 25"),
         ("name: bravo", "name: 7", "vehicles[1].name", "expected text, got 7: put it in quotes"),
-        ("name: bravo", "name: no way", "vehicles[1].name", "expected a name of letters, digits, '_', '-' and '.', go"),
+        ("name: bravo", "name: no way", "vehicles[1].name", "expected a name of letters, digits, '_', '-' and '.', be"),
         ("name: bravo", "name: ''", "vehicles[1].name", "expected at least 1 character, got ''"),
         ("name: bravo", "name: " + "b" * 41, "vehicles[1].name", "expected at most 40 characters, got 'bbbb"),
         ("name: bravo", "name: bravo\n    autopilot: apm", "vehicles[1].autopilot", "expected 'ardupilot' or 'px4', g"),
