@@ -303,7 +303,7 @@ def shifted(y_m: float) -> Line:
 
 def test_two_side_by_side() -> None:
     assert reasons(scene(ALPHA, beside(24.01)), STRAIGHT, shifted(24.01)) == []
-    reason = only_reason(scene(ALPHA, beside(23.9)), STRAIGHT, shifted(23.9))
+    reason = only_reason(scene(ALPHA, beside(24.5)), STRAIGHT, shifted(23.9))
     assert reason.startswith("alpha - bravo: 23.9 m apart at ")
     assert reason.endswith("expected 24 m")
 
@@ -325,14 +325,14 @@ def test_two_that_cross_at_the_same_time_and_one_after_the_other() -> None:
 
 
 def test_each_pair_needs_its_own_tracking_errors() -> None:
-    careful = {**beside(30.0), "tracking_error_m": 8.1}
+    careful = {**beside(30.5), "tracking_error_m": 8.1}
     assert "30.0 m apart" in only_reason(scene(ALPHA, careful), STRAIGHT, shifted(30.0))
     assert reasons(scene(ALPHA, {**careful, "tracking_error_m": 7.9}), STRAIGHT, shifted(30.0)) == []
 
 
 def test_the_pair_furthest_below_its_need_is_told_not_the_nearest() -> None:
-    wide = {**copter("charlie", (0, -30), (300, -30), goal=at(300, -30, amsl=140)), "tracking_error_m": 20}
-    fleet = scene(ALPHA, beside(25), {**wide, "start": at(0, -30, amsl=140)}, area=TO_ONE_SIDE)
+    wide = {**copter("charlie", (0, -43), (300, -43), goal=at(300, -43, amsl=140)), "tracking_error_m": 20}
+    fleet = scene(ALPHA, beside(25), {**wide, "start": at(0, -43, amsl=140)}, area=TO_ONE_SIDE)
     plan = by_hand(fleet, STRAIGHT, shifted(25), shifted(-30), delays_s=[0.0] * 3)
     assert plan.separation is not None
     assert plan.separation.what == "alpha - charlie"
@@ -366,7 +366,7 @@ def test_the_common_arrival_is_kept() -> None:
 
 def test_every_reason_is_told() -> None:
     mast = {"kind": "cylinder", "name": "mast", "center": at(150, 10), "radius_m": 5}
-    crowded = scene({**ALPHA, "endurance_s": 30}, beside(22), obstacles=[mast], terrain=hump(50))
+    crowded = scene({**ALPHA, "endurance_s": 30}, beside(25), obstacles=[mast], terrain=hump(50))
     told = " ".join(reasons(crowded, STRAIGHT, shifted(22)))
     for part in ("alpha: terrain", "alpha: mast", "bravo: terrain", "bravo: mast", "endurance", "alpha - bravo"):
         assert part in told
