@@ -32,7 +32,7 @@ from tests.simulated import HOME, NAN, mission
 pytestmark = pytest.mark.slow
 
 BOTH = pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
-SPEEDUP = 10.0
+SPEEDUP = 6.0
 PATIENCE_S = 60.0  # real time; a mission takes about 10 s
 
 
