@@ -265,6 +265,7 @@ class Safety(Model):
 
     terrain_m: NonNegative = Field(20.0, description="height above the ground (PAPER.md eq. 4's lower limit)")
     obstacle_m: NonNegative = Field(10.0, description="distance to every obstacle and to the fence (eq. 3)")
+    landing_slope_max_deg: Angle = Field(15.0, description="steepest ground on which home and landing place may lie")
 
 
 class Motion(Model):
@@ -292,9 +293,15 @@ class VehicleSettings(Model):
     height_agl_max_m: Positive | None = Field(None, description="PAPER.md eq. 4's upper limit")
     alt_amsl_max_m: Number | None = None
     safety: Safety = Safety()
-    tracking_error_m: NonNegative = 2.0
+    tracking_error_m: NonNegative = Field(2.0, description="how far control and gusts let it stray from its flight")
+    position_error_m: NonNegative = Field(1.0, description="how far off its own estimate of its position may be")
     endurance_s: Positive | None = None
     takeoff_height_m: Positive | None = Field(None, description="climb straight up to this height above home first")
+    return_height_m: Positive | None = Field(
+        None,
+        description="height above home at which it returns when told to or when its link is lost (RTL_ALT, "
+        "RTL_RETURN_ALT, RTL_ALTITUDE); default: the lowest that is proven clear",
+    )
     end: Literal["land", "rtl", "loiter"] | None = Field(
         None, description="at the goal: land there (copters), return home, or stay; default: copter land, plane loiter"
     )
@@ -330,6 +337,14 @@ class Fleet(Model):
     arrive_together: Flag = True
     arrival_time_s: Positive | None = Field(None, description="common arrival, after mission start; default: earliest")
     launch_interval_s: NonNegative = Field(0.0, description="vehicle i starts i times this later")
+    lateness_s: NonNegative = Field(
+        0.0, description="all keep apart also when any one of them is up to this much early or late"
+    )
+    direct_return: Literal["required", "waived"] = Field(
+        "required",
+        description="whether the straight way home must be clear from every point of the mission; where it cannot be, "
+        "waive it only if nobody is returned by hand and lost links do not return",
+    )
 
 
 class Weights(Model):
