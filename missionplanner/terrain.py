@@ -26,6 +26,7 @@ from missionplanner.errors import MissionError
 from missionplanner.files import replacing
 from missionplanner.geodesy import FloatArray, LocalFrame
 from missionplanner.kernels import TerrainArrays
+from missionplanner.terrain_bounds import Pyramid, pyramid
 
 Rectangle = tuple[float, float, float, float]
 """West, south, east, north in the local frame, metres."""
@@ -55,6 +56,7 @@ class Terrain:
     """An elevation grid over the mission's area."""
 
     arrays: TerrainArrays
+    bounds: Pyramid
     spacing_m: float  # the lesser distance between neighbouring samples
     description: str
     reference: GridReference
@@ -160,8 +162,10 @@ def _read(
     to_cell = _cells(_fit(to_crs, area, transform, name), transform)
     heights = _heights_m(dataset, window, metres_per_unit, geoid_undulation_m or 0.0)
     spacing_m = _spacing_m(to_cell, area)
+    arrays = TerrainArrays(heights, to_cell)
     return Terrain(
-        arrays=TerrainArrays(heights, to_cell),
+        arrays=arrays,
+        bounds=pyramid(arrays, _reach_m(area)),
         spacing_m=spacing_m,
         description=f"{name} ({window.height} x {window.width} samples {spacing_m:.3g} m apart)",
         reference=GridReference(
@@ -277,8 +281,10 @@ def _local_terrain(heights: FloatArray, x: FloatArray, y: FloatArray, frame: Loc
     to_cell[0, 0], to_cell[0, 2] = y[0] / cell_m, -1e4 / cell_m
     to_cell[1, 0], to_cell[1, 1] = -x[0] / cell_m, 1e4 / cell_m
     transform = (cell_m, 0.0, float(x[0]) - cell_m / 2, 0.0, -cell_m, float(y[0]) + cell_m / 2)
+    arrays = TerrainArrays(np.ascontiguousarray(heights, dtype=np.float32), to_cell)
     return Terrain(
-        arrays=TerrainArrays(np.ascontiguousarray(heights, dtype=np.float32), to_cell),
+        arrays=arrays,
+        bounds=pyramid(arrays, float(max(np.abs(x).max(), np.abs(y).max()))),
         spacing_m=cell_m,
         description=description,
         reference=GridReference(frame.crs.to_wkt(), transform),
@@ -368,6 +374,11 @@ def _corners(dataset: rasterio.DatasetReader) -> tuple[FloatArray, FloatArray]:
     a, b, c, d, e, f = dataset.transform[:6]
     col, row = np.array([0.0, 0.0, 1.0, 1.0]) * dataset.width, np.array([0.0, 1.0, 0.0, 1.0]) * dataset.height
     return a * col + b * row + c, d * col + e * row + f
+
+
+def _reach_m(area: Rectangle) -> float:
+    """Return how far from the origin anything is asked about, with room for what strays beyond the area."""
+    return max(map(abs, area)) + _FIT_REACH_M
 
 
 def _spacing_m(to_cell: FloatArray, area: Rectangle) -> float:

@@ -352,3 +352,29 @@ def least_heights(
     for n in range(pieces.shape[0]):
         out[n, 0] = least_height(t, p, pieces[n], radius_m[n], sign, enough_m[n], -np.inf, out[n, 1:])
     return out
+
+
+@kernel
+def steepest(t: TerrainArrays, x: float, y: float, radius: float) -> float:
+    """Return an upper bound of the ground's slope (rise over run) within a radius; inf where terrain is missing."""
+    jacobian = np.empty((2, 2))
+    net = np.empty((4, 4))
+    bounds = np.empty(6)
+    _jacobian(t, x, y, jacobian)
+    row, column = cell_position(t, x, y)
+    reach_r = _TURN * radius * math.sqrt(jacobian[0, 0] ** 2 + jacobian[0, 1] ** 2)
+    reach_c = _TURN * radius * math.sqrt(jacobian[1, 0] ** 2 + jacobian[1, 1] ** 2)
+    rows, columns = t.height_amsl_m.shape
+    if not (
+        row - reach_r >= 1.0
+        and column - reach_c >= 1.0
+        and row + reach_r < rows - 2.0
+        and column + reach_c < columns - 2.0
+    ):
+        return np.inf
+    _patch_bounds(t.height_amsl_m, row - reach_r, row + reach_r, column - reach_c, column + reach_c, net, bounds)
+    gr = max(-bounds[2], bounds[3])
+    gc = max(-bounds[4], bounds[5])
+    gx = abs(jacobian[0, 0]) * gr + abs(jacobian[1, 0]) * gc
+    gy = abs(jacobian[0, 1]) * gr + abs(jacobian[1, 1]) * gc
+    return _TURN * math.sqrt(gx * gx + gy * gy)

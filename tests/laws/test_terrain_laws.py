@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from missionplanner.geodesy import LocalFrame
 from missionplanner.kernels import TerrainArrays
+from missionplanner.terrain_bounds import pyramid
 from missionplanner.terrain import GridReference, Rectangle, Terrain, peaks_terrain, read_raster, write_raster
 from tests.oracles.surface import surface_amsl_m
 
@@ -22,7 +23,8 @@ def grid(heights: np.ndarray) -> Terrain:
     """Return a terrain with one sample per 10 km, so that (x, y) is (col, row) in units of 10 km."""
     to_cell = np.zeros((2, 10))
     to_cell[0, 2] = to_cell[1, 1] = 1.0
-    return Terrain(TerrainArrays(heights, to_cell), 1e4, "grid", GridReference("", (1e4, 0, 0, 0, 1e4, 0)))
+    arrays = TerrainArrays(heights, to_cell)
+    return Terrain(arrays, pyramid(arrays, 1e6), 1e4, "grid", GridReference("", (1e4, 0, 0, 0, 1e4, 0)))
 
 
 def height(terrain: Terrain, row: float, col: float) -> float:
