@@ -16,7 +16,9 @@ December 2023, and PX4 wants it in MAV_FRAME_MISSION.
 
 from __future__ import annotations
 
+import hashlib
 import math
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -42,6 +44,7 @@ CHANGE_SPEED = 178
 
 _AIRSPEED, _GROUND_SPEED = 0.0, 1.0
 _THROTTLE_UNCHANGED = -1.0
+_NAN = bytes.fromhex("0000c07f")
 _CLIMB_OUT_DEG = 15.0  # least pitch; without it ArduPlane takes 4 degrees
 
 
@@ -145,6 +148,29 @@ def plan_items(vehicle: VehiclePlan, frame: LocalFrame) -> tuple[MissionItem, ..
 def fleet_items(plan: FleetPlan) -> dict[int, tuple[MissionItem, ...]]:
     """Return every vehicle's mission by sysid."""
     return {vehicle.sysid: plan_items(vehicle, plan.frame) for vehicle in plan.vehicles}
+
+
+def items_sha256(items: Sequence[MissionItem]) -> str:
+    """Return the SHA-256 of a mission as it is sent: every field of every item in its wire type, in order.
+
+    Raises
+    ------
+    MissionError
+        A number that does not fit its field.
+    """
+    digest = hashlib.sha256()
+    for item in items:
+        numbers = (item.seq, item.frame, item.command, item.current, item.autocontinue, item.x, item.y)
+        floats = (item.z, item.param1, item.param2, item.param3, item.param4)
+        try:
+            packed = struct.pack("<HBHBBii", *numbers)
+        except struct.error as error:
+            raise MissionError(
+                f"mission item {item.seq}: expected numbers that fit MISSION_ITEM_INT: {error}"
+            ) from error
+        # NaN has many bit patterns and one meaning
+        digest.update(packed + b"".join(_NAN if math.isnan(value) else struct.pack("<f", value) for value in floats))
+    return digest.hexdigest()
 
 
 def goal_seq(items: Sequence[MissionItem]) -> int:

@@ -32,7 +32,9 @@ from missionplanner.vehicle import Autopilot, VehicleClass
 _FIRMWARE: dict[Autopilot, int] = {"ardupilot": 3, "px4": 12}  # MAV_AUTOPILOT
 _VEHICLE_TYPE: dict[VehicleClass, int] = {"plane": 1, "copter": 2}  # MAV_TYPE
 _ALTITUDE_MODE = {FRAME_GLOBAL: 2, FRAME_RELATIVE: 1}  # QGroundControl: 1 relative to launch, 2 AMSL
+_CALCULATED_ABOVE_TERRAIN = 3  # altitude mode
 _PARAMS = 7
+_LARGEST = 1.7e308  # an integer of JSON may be beyond any float
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +44,8 @@ class PlanFile:
     autopilot: Autopilot
     home: GeoPoint
     items: tuple[MissionItem, ...]
+    fence_items: int = 0  # polygons and circles, counted only
+    rally_points: int = 0
 
 
 def plan_text(plan: PlanFile, vehicle_class: VehicleClass) -> str:
@@ -106,8 +110,8 @@ def read_plan(path: Path) -> PlanFile:
         The file cannot be read, is of another version, lacks a part, or has an item whose path it does not give.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+        document = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
         raise MissionError(f"{path}: expected a readable QGroundControl plan (JSON), got: {error}") from error
     plan = _Reader(path, "", document)
     plan.expect("fileType", "Plan")
@@ -127,7 +131,11 @@ def read_plan(path: Path) -> PlanFile:
         x, y = degrees_to_wire(home.lat_deg), degrees_to_wire(home.lon_deg)
         items.insert(0, MissionItem(0, FRAME_GLOBAL, WAYPOINT, x=x, y=y, z=home.alt_amsl_m))
     return PlanFile(
-        autopilot, home, tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(items))
+        autopilot,
+        home,
+        tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(items)),
+        fence_items=sum(plan.count("geoFence", key) for key in ("polygons", "circles")),
+        rally_points=plan.count("rallyPoints", "points"),
     )
 
 
@@ -146,10 +154,13 @@ def _read_simple(entry: _Reader) -> MissionItem:
     frame = entry.part("frame", int).value
     if frame == FRAME_MISSION:  # what stands in for a position there is not one
         lat_deg, lon_deg, z = (0.0 if math.isnan(value) else value for value in (lat_deg, lon_deg, z))
+    if math.isnan(z) and entry.value.get("AltitudeMode") == _CALCULATED_ABOVE_TERRAIN:
+        expected = "a latitude, a longitude and an altitude that QGroundControl has calculated above its terrain"
+        raise entry.error("params", f"{expected} (open the plan there and save it again)", [lat_deg, lon_deg, z])
     if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 180 and math.isfinite(z)):
         raise entry.error("params", "a latitude, a longitude and an altitude at the end", [lat_deg, lon_deg, z])
     command = entry.part("command", int).value
-    autocontinue = int(entry.value.get("autoContinue", True))
+    autocontinue = int(entry.value.get("autoContinue") is not False)
     x, y = degrees_to_wire(lat_deg), degrees_to_wire(lon_deg)
     return MissionItem(0, frame, command, param1, param2, param3, param4, x, y, z, 0, autocontinue)
 
@@ -175,6 +186,12 @@ class _Reader:
         entries = self.part(key, list)
         return [_Reader(self.path, f"{entries.where}[{k}]", value) for k, value in enumerate(entries.value)]
 
+    def count(self, key: str, lists: str) -> int:
+        """Return how many entries a list of an optional part has; what is not there has none."""
+        part = self.value.get(key)
+        entries = part.get(lists) if isinstance(part, dict) else None
+        return len(entries) if isinstance(entries, list) else 0
+
     def expect(self, key: str, value: object) -> None:
         got = self.value.get(key) if isinstance(self.value, dict) else None
         if got != value:
@@ -186,7 +203,7 @@ class _Reader:
         for value in values:
             if value is None and null is not None:
                 numbers.append(null)
-            elif isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value):
+            elif isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST:
                 numbers.append(float(value))
         if len(numbers) != count or len(values) != count:
             raise self.error(key, f"{count} numbers", values)

@@ -27,6 +27,7 @@ from missionplanner.vehicle import Autopilot
 
 _HEADER = "QGC WPL 110"
 _COLUMNS = 12
+_FRAME_GLOBAL_INT = 5
 
 
 def waypoints_text(items: Sequence[MissionItem], autopilot: Autopilot, home: GeoPoint) -> str:
@@ -61,8 +62,38 @@ def read_waypoints(path: Path, autopilot: Autopilot) -> tuple[MissionItem, ...]:
     MissionError
         The file cannot be read, is not QGC WPL 110, or a line has not 12 numbers in sequence.
     """
+    return read_waypoints_home(path, autopilot)[0]
+
+
+def read_waypoints_home(path: Path, autopilot: Autopilot) -> tuple[tuple[MissionItem, ...], GeoPoint | None]:
+    """Read a file as the mission to upload and the home of its row 0.
+
+    For ArduPilot, row 0 is its home item whatever it says: the vehicle overwrites it. A file for PX4 whose row 0 cannot
+    be home is refused: some ground stations would fly it, others drop it.
+
+    Raises
+    ------
+    MissionError
+        As :func:`read_waypoints`.
+    """
+    rows = _read_rows(path)
+    first = rows[0] if rows else None
+    is_home = first is not None and first.command == WAYPOINT
+    if autopilot == "px4" and first is not None:
+        if not is_home:
+            raise MissionError(
+                f"{path}: expected home in row 0 (command {WAYPOINT}), got command {first.command}: add it in front, "
+                "ground stations never fly row 0"
+            )
+        rows = [replace(row, seq=seq, current=int(seq == 0)) for seq, row in enumerate(rows[1:])]
+    if first is None or not is_home or first.frame not in (FRAME_GLOBAL, _FRAME_GLOBAL_INT):
+        return tuple(rows), None
+    return tuple(rows), GeoPoint(wire_to_degrees(first.x), wire_to_degrees(first.y), first.z)
+
+
+def _read_rows(path: Path) -> list[MissionItem]:
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise MissionError(f"{path}: expected a readable text file, got: {error}") from error
     if not lines or lines[0].strip() != _HEADER:
@@ -76,9 +107,7 @@ def read_waypoints(path: Path, autopilot: Autopilot) -> tuple[MissionItem, ...]:
     for seq, row in enumerate(rows):
         if row.seq != seq:
             raise MissionError(f"{path}: expected item {seq}, got {row.seq}: rows must be numbered from 0 without gaps")
-    if autopilot == "px4":
-        rows = [replace(row, seq=seq, current=int(seq == 0)) for seq, row in enumerate(rows[1:])]
-    return tuple(rows)
+    return rows
 
 
 def _item(line: str, where: str) -> MissionItem:

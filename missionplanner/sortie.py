@@ -20,7 +20,8 @@ LegKind = Literal["takeoff", "straight", "spline", "circle"]
 class Leg:
     """One piece of a sortie, flown from where the one before it ended (the first from home).
 
-    A take-off is vertical for copters. A circle is flown around ``end_m``.
+    A take-off is vertical for copters. A circle is flown around ``end_m``; where on it the leg after it begins is not
+    known. A hold above 0 is a stop.
     """
 
     seq: int  # of the mission item that asks for it
@@ -29,7 +30,7 @@ class Leg:
     speed_m_s: float  # horizontal, commanded
     hold_s: float = 0.0
     radius_m: float = 0.0  # of a circle
-    turns: float = math.inf  # of a circle
+    turns: float = math.inf  # of a circle, at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,3 +56,4 @@ class Sortie:
     start_delay_s: float
     return_height_m: float  # above home: the altitude its autopilot is set to return at (RTL_ALT, RTL_RETURN_ALT)
     gaps: tuple[Gap, ...] = ()
+    notes: tuple[str, ...] = ()  # what a reader of the certificate should know; nothing here stands against a proof
