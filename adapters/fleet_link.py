@@ -7,66 +7,55 @@ vehicle that starts at once is armed. What goes wrong is a :class:`LinkError` th
 from __future__ import annotations
 
 import math
-import select
-import time
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.command_protocol import Command, command_name
+from adapters.command_protocol import command_name
 from adapters.endpoint import Endpoint
 from adapters.flight_recorder import FlightRecorder, status_text
-from adapters.mission_items import MissionItem, goal_seq, plan_items
-from adapters.mission_protocol import MissionDownload, MissionUpload, Party, mismatches
-from adapters.pymavlink_link import PymavlinkLink
+from adapters.ground_station import (
+    ANSWER_S,
+    WAIT_S,
+    Clock,
+    Peer,
+    Station,
+    Steps,
+    TransferProgress,
+    WallClock,
+    joined,
+)
+from adapters.mission_items import MissionItem, goal_seq, plan_items, wire_to_degrees
+from adapters.mission_protocol import MissionUpload, Party, mismatches
+from adapters.parameter_protocol import mismatch
+from adapters.return_settings import Setting, return_settings
 from adapters.telemetry_log import FleetLog
 from missionplanner.errors import LinkError
-from missionplanner.geodesy import FloatArray
+from missionplanner.geodesy import FloatArray, GeoPoint
 from missionplanner.plan import FleetFlight, FleetPlan, FlownVehicle, VehiclePlan
 from missionplanner.vehicle import Autopilot, VehicleClass
 
+__all__ = [
+    "Clock",
+    "Downloaded",
+    "FleetLink",
+    "Order",
+    "ParameterChange",
+    "ReadyProgress",
+    "TransferProgress",
+    "VehicleStatus",
+    "WallClock",
+    "WatchProgress",
+    "download_missions",
+]
+
 Message = Any  # a pymavlink message: its classes are generated, and carry no types
-Steps = Generator[None, None, None]  # something that goes on over time: yields until its next look at the world
 Order = Literal["auto", "hold", "land", "rtl"]
-TransferProgress = Callable[[str, int, int], None]
-"""Called with a vehicle's name, its items transferred and the count of them."""
 ReadyProgress = Callable[[str, str], None]
 """Called with a vehicle's name and what it still lacks to be armed, "ready" in the end; whenever that changes."""
-
-
-class Clock(Protocol):
-    """The time by which a fleet is flown: the wall's, or a simulator's that only runs while somebody waits."""
-
-    def now_s(self) -> float:
-        """Return seconds since some fixed instant; never falls."""
-        ...
-
-    def wait(self, seconds: float) -> None:
-        """Let at most that time pass; may return as soon as something has arrived."""
-        ...
-
-
-class WallClock:
-    """Real time; waiting ends early when one of the endpoints has something to read."""
-
-    def __init__(self, endpoints: Sequence[Endpoint]) -> None:
-        self._endpoints = endpoints
-        self._start_s = time.monotonic()
-
-    def now_s(self) -> float:
-        """Return seconds since the clock was made."""
-        return time.monotonic() - self._start_s
-
-    def wait(self, seconds: float) -> None:
-        """Sleep until something arrives, at most ``seconds``."""
-        descriptors = [fd for endpoint in self._endpoints for fd in endpoint.filenos()]
-        if descriptors:
-            select.select(descriptors, [], [], max(seconds, 0.0))
-        else:
-            time.sleep(max(seconds, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,9 +77,17 @@ class VehicleStatus:
 
 WatchProgress = Callable[[Sequence[VehicleStatus]], None]
 
-_WAIT_S = 0.05
-_LISTEN_S = 2.5  # two heartbeats: long enough to hear a second vehicle with the same sysid
-_ANSWER_S = 7.0
+
+@dataclass(frozen=True, slots=True)
+class ParameterChange:
+    """A parameter that was set on a vehicle, which keeps it after the flight."""
+
+    vehicle: str
+    name: str
+    before: float
+    after: float
+
+
 _READY_S = 180.0  # a cold GPS and a cold estimator take a minute
 _TEXT_FOR_S = 30.0  # a vehicle repeats what keeps it from arming
 _FLYING_S = 5.0  # from MISSION_START to being seen in its mission
@@ -109,13 +106,6 @@ _POSITION_SENSORS = (
     | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
     | mavlink.MAV_SYS_STATUS_SENSOR_GPS
 )
-_AUTOPILOTS: dict[int, Autopilot] = {
-    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
-    mavlink.MAV_AUTOPILOT_PX4: "px4",
-}
-_COPTERS = frozenset({2, 3, 4, 13, 14, 15, 29, 35})  # MAV_TYPE: multirotors, coaxial and helicopters
-_PLANES = frozenset({1, *range(19, 26)})  # fixed wing and VTOL
-
 # HEARTBEAT.custom_mode by what we want; "hold" is also the mode to be armed in, in which a copter stays on the ground.
 # ArduPlane has no mode that lands where it is: it returns. PX4 packs main and sub mode.
 _MODES: dict[tuple[Autopilot, VehicleClass], dict[Order, int]] = {
@@ -160,11 +150,10 @@ class FleetLink:
     ) -> None:
         self._plan = plan
         self._clock = clock
-        self._link = PymavlinkLink(endpoints, log)
         self._vehicles = {vehicle.sysid: _Vehicle(vehicle, plan) for vehicle in plan.vehicles}
+        self._station = Station(self._vehicles, endpoints, clock, log)
         self._home_tolerance_m = home_tolerance_m
         self._altitude_tolerance_m = altitude_tolerance_m
-        self._heard: set[int] = set()
         self._start_s: float | None = None
 
     @property
@@ -172,9 +161,14 @@ class FleetLink:
         """The missions that are uploaded, by sysid."""
         return {sysid: vehicle.items for sysid, vehicle in self._vehicles.items()}
 
+    @property
+    def held(self) -> Mapping[int, tuple[MissionItem, ...]]:
+        """The missions as the vehicles hold them, by sysid: what :meth:`verify` has read of those that passed it."""
+        return {sysid: vehicle.held for sysid, vehicle in self._vehicles.items() if vehicle.held is not None}
+
     def close(self) -> None:
         """Close all links."""
-        self._link.close()
+        self._station.link.close()
 
     def connect(self, timeout_s: float = 30.0) -> None:
         """Wait until every vehicle of the plan is heard, and is what the plan takes it for.
@@ -184,13 +178,8 @@ class FleetLink:
         LinkError
             Nobody, or not everybody answers; another autopilot or class of vehicle; two vehicles with one sysid.
         """
-        begun_s = self._clock.now_s()
-        self._settle(_LISTEN_S)
-        while any(vehicle.heartbeat is None for vehicle in self._vehicles.values()):
-            if self._clock.now_s() >= begun_s + timeout_s:
-                raise LinkError(self._missing(timeout_s))
-            self._exchange()
-            self._clock.wait(_WAIT_S)
+        names = {sysid: f"{vehicle.plan.name} (sysid {sysid})" for sysid, vehicle in self._vehicles.items()}
+        self._station.wait_for(list(self._vehicles), names, timeout_s)
         for vehicle in self._vehicles.values():
             vehicle.check_identity()
 
@@ -205,9 +194,10 @@ class FleetLink:
         for vehicle in self._vehicles.values():
             if vehicle.armed:
                 raise vehicle.error("is armed: land and disarm it before giving it a mission; nothing was uploaded")
+            vehicle.held = None
             vehicle.upload = MissionUpload(vehicle.party, vehicle.plan.autopilot, vehicle.items)
         goings = {sysid: self._uploading(vehicle, progress) for sysid, vehicle in self._vehicles.items()}
-        self._together(goings, after_failure="nothing was armed")
+        self._station.together(goings, after_failure="nothing was armed")
 
     def verify(self, progress: TransferProgress | None = None) -> None:
         """Read every mission back and compare it with the plan's.
@@ -218,7 +208,26 @@ class FleetLink:
             A vehicle holds another mission than the one sent, named by item and field; nothing was armed.
         """
         goings = {sysid: self._verifying(vehicle, progress) for sysid, vehicle in self._vehicles.items()}
-        self._together(goings, after_failure="nothing was armed")
+        self._station.together(goings, after_failure="nothing was armed")
+
+    def set_returns(self, progress: TransferProgress | None = None) -> tuple[ParameterChange, ...]:
+        """Set every vehicle to return straight home at its planned height, and read that back.
+
+        Vehicles keep these parameters; what was changed is returned, so that it can be told.
+
+        Raises
+        ------
+        LinkError
+            A vehicle is armed, lacks a parameter, does not take its value, or holds rally points, to which it would
+            return instead; nothing was armed.
+        """
+        for vehicle in self._vehicles.values():
+            if vehicle.armed:
+                raise vehicle.error("is armed: land and disarm it before setting its return height; nothing was set")
+        changes: list[ParameterChange] = []
+        goings = {k: self._setting_returns(vehicle, progress, changes) for k, vehicle in self._vehicles.items()}
+        self._station.together(goings, after_failure="nothing was armed")
+        return tuple(changes)
 
     def start(self, progress: ReadyProgress | None = None, *, ready_timeout_s: float = _READY_S) -> None:
         """Wait until all can be armed, arm all, then start all in one burst: all or none.
@@ -230,24 +239,24 @@ class FleetLink:
         LinkError
             A vehicle is not ready, stands elsewhere than planned, or does not start; the message says who flies.
         """
-        self._together(
+        self._station.together(
             {sysid: self._preparing(vehicle, ready_timeout_s, progress) for sysid, vehicle in self._vehicles.items()},
             after_failure="nothing was armed",
         )
         first = {k: v for k, v in self._vehicles.items() if v.plan.start_delay_s <= 0.0}
         try:
-            self._together({sysid: self._arming(vehicle) for sysid, vehicle in first.items()})
+            self._station.together({sysid: self._arming(vehicle) for sysid, vehicle in first.items()})
         except LinkError as error:
             raise LinkError(f"{error}; {self._stand_down()}") from error
         self._start_s = self._clock.now_s()
         for vehicle in self._vehicles.values():
             vehicle.recorder.start(self._start_s)
         try:
-            self._together({sysid: self._starting(vehicle) for sysid, vehicle in first.items()})
+            self._station.together({sysid: self._starting(vehicle) for sysid, vehicle in first.items()})
         except LinkError as error:
             raise LinkError(f"{error}; {self._stand_down()}") from error
         later = {k: v for k, v in self._vehicles.items() if k not in first}
-        self._together(
+        self._station.together(
             {k: self._starting_later(v) for k, v in later.items()}, after_failure="the others fly their missions"
         )
 
@@ -265,7 +274,7 @@ class FleetLink:
         give_up_s = self._start_s + 2.0 * longest_s + 2.0 * _LOST_S
         shown_s = -math.inf
         while True:
-            self._exchange()
+            self._station.exchange()
             now_s = self._clock.now_s()
             ended = all(vehicle.ended or vehicle.lost(now_s) for vehicle in self._vehicles.values())
             if progress is not None and (ended or now_s >= shown_s + _PROGRESS_S):
@@ -273,10 +282,10 @@ class FleetLink:
                 progress([vehicle.status(now_s) for vehicle in self._vehicles.values()])
             if ended or now_s > give_up_s:
                 break
-            self._clock.wait(_WAIT_S)
+            self._clock.wait(WAIT_S)
         failures = [v.failure(self._clock.now_s()) for v in self._vehicles.values() if not v.ended]
         if failures:
-            raise _joined(failures)
+            raise joined(failures)
         return self.flight()
 
     def flight(self) -> FleetFlight:
@@ -302,7 +311,9 @@ class FleetLink:
             A vehicle does not confirm; the others have obeyed.
         """
         armed = {sysid: vehicle for sysid, vehicle in self._vehicles.items() if vehicle.armed}
-        self._together({k: self._switching(v, order) for k, v in armed.items()}, after_failure="the others have obeyed")
+        self._station.together(
+            {k: self._switching(v, order) for k, v in armed.items()}, after_failure="the others have obeyed"
+        )
 
     # what goes on with one vehicle, each a generator that yields whenever it waits
 
@@ -314,33 +325,62 @@ class FleetLink:
             if upload.sent != shown:
                 shown = upload.sent
                 _tell(progress, vehicle, shown, upload.total)
-            self._send(vehicle, upload.poll(self._clock.now_s()))
+            self._station.send(vehicle, upload.poll(self._clock.now_s()))
             yield
             vehicle.check_transfer()
 
     def _verifying(self, vehicle: _Vehicle, progress: TransferProgress | None) -> Steps:
-        download = MissionDownload(vehicle.party)
-        vehicle.download = download
-        shown = -1
-        while not download.done:
-            self._send(vehicle, download.poll(self._clock.now_s()))
-            if len(download.items) != shown:
-                shown = len(download.items)
-                _tell(progress, vehicle, shown, len(vehicle.items))
-            yield
-            vehicle.check_transfer()
-        vehicle.download = None
-        _tell(progress, vehicle, len(download.items), len(vehicle.items))
-        wrong = mismatches(vehicle.items, download.items, vehicle.plan.autopilot)
+        def tell(done: int, _total: int | None) -> None:
+            _tell(progress, vehicle, done, len(vehicle.items))
+
+        held = yield from self._station.downloading(vehicle, tell)
+        wrong = mismatches(vehicle.items, held, vehicle.plan.autopilot)
         if wrong:
             more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
             command = _command_at(vehicle.items, wrong[0].seq)
             raise vehicle.error(f"holds another mission than was sent: {wrong[0]}{command}{more}; upload it again")
+        vehicle.held = held
+
+    def _setting_returns(
+        self, vehicle: _Vehicle, progress: TransferProgress | None, changes: list[ParameterChange]
+    ) -> Steps:
+        rally = yield from self._station.downloading(vehicle, mission_type=mavlink.MAV_MISSION_TYPE_RALLY)
+        if rally:
+            raise vehicle.error(
+                f"holds {len(rally)} rally points, to which it would return instead of its home: clear them"
+            )
+        motion = vehicle.plan.motion
+        settings = return_settings(motion.autopilot, motion.vehicle_class, motion.return_height_m)
+        values: list[tuple[Setting, float]] = []
+        witness: str | None = None
+        for done, setting in enumerate(settings):
+            _tell(progress, vehicle, done, len(settings))
+            held = yield from self._station.reading(vehicle, vehicle.plan.autopilot, setting, witness)
+            if held is None:
+                continue
+            witness = held.name
+            try:
+                wanted = setting.wanted(held, vehicle.plan.autopilot)
+            except ValueError as error:
+                raise vehicle.error(
+                    f"parameter {held.name}: cannot hold {setting.value:g} m ({error}): "
+                    "change the vehicle's return_height_m and plan again"
+                ) from error
+            if held.value != wanted:
+                yield from self._station.setting(vehicle, vehicle.plan.autopilot, held, wanted)
+                changes.append(ParameterChange(vehicle.plan.name, held.name, held.value, wanted))
+            values.append((setting, wanted))
+        for setting, wanted in values:  # all of them once more: one may act upon another
+            held = yield from self._station.reading(vehicle, vehicle.plan.autopilot, setting, None)
+            assert held is not None
+            if held.value != wanted:
+                raise mismatch(vehicle.party, held.name, wanted, held.value)
+        _tell(progress, vehicle, len(settings), len(settings))
 
     def _preparing(self, vehicle: _Vehicle, timeout_s: float, progress: ReadyProgress | None) -> Steps:
         for number, interval_s in _MESSAGE_INTERVALS_S.items():
             # one that will not be set comes at the vehicle's own rate
-            yield from self._commanding(vehicle, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, interval_s * 1e6)
+            yield from self._station.commanding(vehicle, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, interval_s * 1e6)
         end_s = self._clock.now_s() + timeout_s
         told = ""
         while (missing := vehicle.not_ready(self._clock.now_s())) is not None:
@@ -361,7 +401,7 @@ class FleetLink:
         first = 1 if vehicle.plan.autopilot == "ardupilot" else 0
         message = mavlink.MAVLink_mission_set_current_message(vehicle.plan.sysid, 1, first)
         vehicle.current_item = None
-        end_s = self._clock.now_s() + _ANSWER_S
+        end_s = self._clock.now_s() + ANSWER_S
         due_s = -math.inf
         while vehicle.current_item is None or vehicle.current_item > first:
             now_s = self._clock.now_s()
@@ -371,7 +411,7 @@ class FleetLink:
                 )
             if now_s >= due_s:
                 due_s = now_s + 1.0
-                self._send(vehicle, [message])
+                self._station.send(vehicle, [message])
             yield
 
     def _switching(self, vehicle: _Vehicle, order: Order) -> Steps:
@@ -379,18 +419,18 @@ class FleetLink:
 
     def _into_mode(self, vehicle: _Vehicle, mode: int, name: str) -> Steps:
         main, sub = (mode, 0) if vehicle.plan.autopilot == "ardupilot" else (mode >> 16 & 0xFF, mode >> 24)
-        result = yield from self._commanding(vehicle, mavlink.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE, main, sub)
+        result = yield from self._station.commanding(vehicle, mavlink.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE, main, sub)
         if result != mavlink.MAV_RESULT_ACCEPTED:
             raise vehicle.error(f"refused to switch to {name} (mode {mode}){vehicle.said(self._clock.now_s())}")
 
     def _arming(self, vehicle: _Vehicle) -> Steps:
         command = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-        result = yield from self._commanding(vehicle, command, 1.0, patience_s=_ARM_S)
+        result = yield from self._station.commanding(vehicle, command, 1.0, patience_s=_ARM_S)
         if result != mavlink.MAV_RESULT_ACCEPTED:
             raise vehicle.error(f"refused to arm{vehicle.said(self._clock.now_s())}")
 
     def _starting(self, vehicle: _Vehicle) -> Steps:
-        result = yield from self._commanding(
+        result = yield from self._station.commanding(
             vehicle, mavlink.MAV_CMD_MISSION_START, 0.0, len(vehicle.items) - 1.0, retry_s=_START_RETRY_S
         )
         if result != mavlink.MAV_RESULT_ACCEPTED:
@@ -416,19 +456,6 @@ class FleetLink:
             yield
         yield from self._starting(vehicle)
 
-    def _commanding(
-        self, vehicle: _Vehicle, number: int, *params: float, retry_s: float = 0.7, patience_s: float = _ANSWER_S
-    ) -> Generator[None, None, int]:
-        command = Command(
-            vehicle.plan.name, vehicle.plan.sysid, number, *params, retry_s=retry_s, patience_s=patience_s
-        )
-        vehicle.command = command
-        while command.result is None:
-            self._send(vehicle, command.poll(self._clock.now_s()))
-            yield
-        vehicle.command = None
-        return command.result
-
     def _check_home(self, vehicle: _Vehicle) -> None:
         position_m = vehicle.recorder.position_m
         assert position_m is not None
@@ -448,21 +475,21 @@ class FleetLink:
     def _stand_down(self) -> str:
         """Bring a half-started fleet back to the ground, and say what came of it."""
         armed = {sysid: vehicle for sysid, vehicle in self._vehicles.items() if vehicle.armed or vehicle.command}
-        self._settle(0.5)  # whoever has just been started says so
+        self._station.settle(0.5)  # whoever has just been started says so
         told: list[str] = []
         silent: list[str] = []
 
         def ending(vehicle: _Vehicle) -> Steps:
             try:
                 disarm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-                result = yield from self._commanding(vehicle, disarm, 0.0, patience_s=2.0)
+                result = yield from self._station.commanding(vehicle, disarm, 0.0, patience_s=2.0)
                 if result != mavlink.MAV_RESULT_ACCEPTED:  # it has left the ground
                     yield from self._switching(vehicle, "land")
                     told.append(vehicle.plan.name)
             except LinkError:
                 silent.append(vehicle.plan.name)
 
-        self._together({sysid: ending(vehicle) for sysid, vehicle in armed.items()})
+        self._station.together({sysid: ending(vehicle) for sysid, vehicle in armed.items()})
         if silent:
             return (
                 f"the start was called off, but {', '.join(silent)} did not answer and may be flying: take over by hand"
@@ -471,88 +498,25 @@ class FleetLink:
             return f"the start was called off: {', '.join(told)} told to land, the others disarmed"
         return "the start was called off: all vehicles are disarmed on the ground"
 
-    # the loop beneath
 
-    def _together(self, goings: Mapping[int, Steps], after_failure: str = "") -> None:
-        """Go on with all vehicles side by side; when some fail, let the others finish, then say who failed."""
-        running = dict(goings)
-        failures: list[LinkError] = []
-        while running:
-            self._exchange()
-            for sysid in list(running):
-                try:
-                    next(running[sysid])
-                except StopIteration:
-                    del running[sysid]
-                except LinkError as failure:
-                    failures.append(failure)
-                    del running[sysid]
-            if running:
-                self._clock.wait(_WAIT_S)
-        if failures:
-            joined = _joined(failures)
-            raise LinkError(f"{joined}; {after_failure}") if after_failure else joined
-
-    def _settle(self, duration_s: float) -> None:
-        end_s = self._clock.now_s() + duration_s
-        while self._clock.now_s() < end_s:
-            self._exchange()
-            self._clock.wait(_WAIT_S)
-
-    def _exchange(self) -> None:
-        """Take in all that has arrived, and answer what must be answered."""
-        now_s = self._clock.now_s()
-        for message in self._link.receive(now_s):
-            sysid = message.get_srcSystem()
-            self._heard.add(sysid)
-            vehicle = self._vehicles.get(sysid)
-            if vehicle is not None:
-                self._send(vehicle, vehicle.receive(message, now_s))
-
-    def _send(self, vehicle: _Vehicle, messages: Sequence[Message]) -> None:
-        for message in messages:
-            self._link.send(message, vehicle.plan.sysid, self._clock.now_s())
-
-    def _missing(self, timeout_s: float) -> str:
-        absent = [f"{v.plan.name} (sysid {k})" for k, v in self._vehicles.items() if v.heartbeat is None]
-        others = sorted(self._heard - set(self._vehicles))
-        if not self._heard:
-            heard = "nobody answered"
-        else:
-            present = ", ".join(str(sysid) for sysid in sorted(self._heard))
-            heard = f"heard only sysid {present}" if others else f"the others answered (sysid {present})"
-        return (
-            f"{self._link.urls}: expected {', '.join(absent)} within {timeout_s:g} s, {heard}; "
-            "check that the vehicles are on, send to this address, and have the sysids of the plan"
-        )
-
-
-class _Vehicle:
+class _Vehicle(Peer):
     """What is known of one vehicle, and what goes on with it."""
 
     def __init__(self, plan: VehiclePlan, fleet: FleetPlan) -> None:
+        super().__init__(Party(plan.name, plan.sysid))
         self.plan = plan
-        self.party = Party(plan.name, plan.sysid)
         self.items = plan_items(plan, fleet.frame)
         self.modes = _MODES[plan.autopilot, plan.vehicle_class]
         self.recorder = FlightRecorder(
             goal_seq(self.items), plan.waypoints_m[-1], plan.motion.waypoint_radius_m + 1.0, fleet.frame
         )
-        self.upload: MissionUpload | None = None
-        self.download: MissionDownload | None = None
-        self.command: Command | None = None
-        self.heartbeat: Message | None = None
+        self.held: tuple[MissionItem, ...] | None = None
         self.current_item: int | None = None
-        self._refusal: LinkError | None = None
         self._status: Message | None = None
         self._ekf_flags: int | None = None
         self._text = ""
         self._text_s = -math.inf
         self._heard_s = -math.inf
-
-    @property
-    def armed(self) -> bool:
-        return self.heartbeat is not None and bool(self.heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
 
     @property
     def custom_mode(self) -> int | None:
@@ -577,15 +541,10 @@ class _Vehicle:
     def in_mode(self, order: Order) -> bool:
         return self.custom_mode == self.modes[order]
 
-    def error(self, text: str) -> LinkError:
-        return self.party.error(text)
-
     def receive(self, message: Message, now_s: float) -> list[Message]:
         """Take one message of this vehicle and return what to answer."""
         self._heard_s = now_s
         match message.get_type():
-            case "HEARTBEAT":
-                self.heartbeat = message
             case "SYS_STATUS":
                 self._status = message
             case "EKF_STATUS_REPORT":
@@ -595,29 +554,10 @@ class _Vehicle:
             case "STATUSTEXT":
                 self._text, self._text_s = status_text(message), now_s
         self.recorder.receive(message, now_s)
-        if self.command is not None:
-            self.command.receive(message, now_s)
-        replies: list[Message] = []
-        for transfer in (self.upload, self.download):
-            if transfer is not None and self._refusal is None:
-                try:
-                    replies += transfer.receive(message, now_s)
-                except LinkError as refusal:  # this vehicle's alone: the others go on
-                    self._refusal = refusal
-        return replies
-
-    def check_transfer(self) -> None:
-        """Raise what the vehicle has answered to its mission, if it was a refusal."""
-        if self._refusal is not None:
-            refusal, self._refusal = self._refusal, None
-            self.upload = self.download = None
-            raise refusal
+        return super().receive(message, now_s)
 
     def check_identity(self) -> None:
-        assert self.heartbeat is not None
-        autopilot = _AUTOPILOTS.get(self.heartbeat.autopilot, f"autopilot {self.heartbeat.autopilot}")
-        kind = self.heartbeat.type
-        vehicle_class = "copter" if kind in _COPTERS else "plane" if kind in _PLANES else f"MAV_TYPE {kind}"
+        autopilot, vehicle_class = self.autopilot, self.vehicle_class
         if (autopilot, vehicle_class) != (self.plan.autopilot, self.plan.vehicle_class):
             raise self.error(
                 f"expected {self.plan.autopilot} {self.plan.vehicle_class}, got {autopilot} {vehicle_class}: "
@@ -681,6 +621,103 @@ class _Vehicle:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Downloaded:
+    """What a vehicle was found to hold.
+
+    ``remarks`` say what would make it return otherwise than straight to ``home`` at ``return_height_m`` above it.
+    """
+
+    sysid: int
+    autopilot: Autopilot
+    vehicle_class: VehicleClass
+    items: tuple[MissionItem, ...]
+    home: GeoPoint | None  # None: it has none yet
+    return_height_m: float
+    remarks: tuple[str, ...]
+
+
+def download_missions(
+    endpoints: Sequence[Endpoint],
+    clock: Clock,
+    *,
+    expected: Sequence[int] | None = None,
+    timeout_s: float = 30.0,
+    progress: TransferProgress | None = None,
+    log: FleetLog | None = None,
+) -> dict[int, Downloaded]:
+    """Read what vehicles hold, by sysid, and change nothing: of those expected, or of all that are heard.
+
+    Raises
+    ------
+    LinkError
+        Nobody, or not everybody answers; a vehicle of a kind that we do not know; two vehicles with one sysid.
+    """
+    station = _Listener(endpoints, clock, log)
+    wanted = None if expected is None else sorted(set(expected))
+    station.wait_for(wanted, {sysid: f"sysid {sysid}" for sysid in wanted or ()}, timeout_s)
+    found: dict[int, Downloaded] = {}
+    peers = {k: peer for k, peer in station.peers.items() if wanted is None or k in wanted}
+    station.together({k: _finding(station, peer, progress, found) for k, peer in peers.items()})
+    return dict(sorted(found.items()))
+
+
+class _Listener(Station["_Stranger"]):
+    """A ground station that takes in whoever it hears."""
+
+    def __init__(self, endpoints: Sequence[Endpoint], clock: Clock, log: FleetLog | None) -> None:
+        super().__init__({}, endpoints, clock, log)
+
+    def met(self, sysid: int) -> None:
+        self.peers[sysid] = _Stranger(Party(f"vehicle {sysid}", sysid))
+
+
+class _Stranger(Peer):
+    """A vehicle that no plan describes."""
+
+    home: GeoPoint | None = None
+
+    def receive(self, message: Message, now_s: float) -> list[Message]:
+        if message.get_type() == "HOME_POSITION":
+            self.home = GeoPoint(
+                wire_to_degrees(message.latitude), wire_to_degrees(message.longitude), message.altitude / 1e3
+            )
+        return super().receive(message, now_s)
+
+
+def _finding(
+    station: _Listener, peer: _Stranger, progress: TransferProgress | None, found: dict[int, Downloaded]
+) -> Steps:
+    autopilot, vehicle_class = peer.known_kind()
+
+    def tell(done: int, total: int | None) -> None:
+        if progress is not None and total is not None:
+            progress(peer.party.vehicle, done, total)
+
+    items = yield from station.downloading(peer, tell)
+    rally = yield from station.downloading(peer, mission_type=mavlink.MAV_MISSION_TYPE_RALLY)
+    remarks = [f"it holds {len(rally)} rally points, to which it may return instead of its home"] if rally else []
+    height, *_ = return_settings(autopilot, vehicle_class, 0.0)
+    held_height = yield from station.reading(peer, autopilot, height, None)
+    assert held_height is not None
+    height_m = height.meant(held_height)
+    for setting in return_settings(autopilot, vehicle_class, height_m)[1:]:
+        held = yield from station.reading(peer, autopilot, setting, held_height.name)
+        if held is not None and setting.meant(held) != setting.value:
+            remarks.append(f"{held.name} is {held.value:g}: its return is known only for {setting.value:g}")
+    if height_m < 0.0:
+        remarks.append(f"{held_height.name} is {held_height.value:g}: it returns at its present height")
+    # one without a home yet refuses
+    home = mavlink.MAVLINK_MSG_ID_HOME_POSITION
+    result = yield from station.commanding(peer, mavlink.MAV_CMD_REQUEST_MESSAGE, home)
+    end_s = station.clock.now_s() + ANSWER_S
+    while result == mavlink.MAV_RESULT_ACCEPTED and peer.home is None and station.clock.now_s() < end_s:
+        yield
+    found[peer.party.sysid] = Downloaded(
+        peer.party.sysid, autopilot, vehicle_class, items, peer.home, height_m, tuple(remarks)
+    )
+
+
 def _tell(progress: TransferProgress | None, vehicle: _Vehicle, done: int, total: int) -> None:
     if progress is not None:
         progress(vehicle.plan.name, done, total)
@@ -688,9 +725,3 @@ def _tell(progress: TransferProgress | None, vehicle: _Vehicle, done: int, total
 
 def _command_at(items: Sequence[MissionItem], seq: int) -> str:
     return f" ({command_name(items[seq].command)})" if seq < len(items) else ""
-
-
-def _joined(failures: Sequence[LinkError]) -> LinkError:
-    """Return the first failure, with the number of others."""
-    others = f" (and {len(failures) - 1} more: {'; '.join(str(e) for e in failures[1:])})" if len(failures) > 1 else ""
-    return LinkError(f"{failures[0]}{others}")

@@ -431,6 +431,10 @@ class MissionDownload:
     def _refused(self, result: int, now_s: float) -> list[Message]:
         if result == mavlink.MAV_MISSION_ACCEPTED:
             return []  # an echo of an upload
+        if result == mavlink.MAV_MISSION_UNSUPPORTED and self._mission_type != mavlink.MAV_MISSION_TYPE_MISSION:
+            self.total = 0  # firmware without fences or rally points holds none
+            self.done = True
+            return []
         self._busy += 1
         if self._busy > self._timing.busy_retries:
             raise self._party.error(f"refused to give its mission (MAV_MISSION_RESULT {result}); wait and try again")

@@ -20,6 +20,8 @@ from missionplanner.errors import MissionError
 
 _STAMP = struct.Struct(">Q")
 _MERGED = "fleet.tlog"
+_OWN_SYSID = 255
+_TEXT_MAX = 50  # bytes of a STATUSTEXT
 _STX2, _STX1 = 0xFD, 0xFE
 _SIGNED = 0x01
 _YEAR_2000_US, _YEAR_2200_US = 946_684_800 * 10**6, 7_258_118_400 * 10**6
@@ -33,6 +35,8 @@ class FleetLog:
 
     def __init__(self, folder: Path, names: Mapping[int, str], epoch_s: float) -> None:
         self._epoch_s = epoch_s
+        self._codec = mavlink.MAVLink(None, srcSystem=_OWN_SYSID, srcComponent=mavlink.MAV_COMP_ID_MISSIONPLANNER)
+        self._notes = 0
         self._files: dict[int, BinaryIO] = {}
         self.paths = [folder / f"{name}.tlog" for name in names.values()]
         try:
@@ -48,15 +52,32 @@ class FleetLog:
 
     def write(self, now_s: float, sysid: int, frame: bytes) -> None:
         """Add one frame from or to the vehicle ``sysid``; one of an unknown vehicle goes to the merged log only."""
-        record = _STAMP.pack(round((self._epoch_s + now_s) * 1e6)) + frame
+        record = self._record(now_s, frame)
         self._merged.write(record)
         if sysid in self._files:
             self._files[sysid].write(record)
+
+    def note(self, now_s: float, text: str) -> None:
+        """Add a remark of our own to every log: a STATUSTEXT from this ground station, in pieces where it is long."""
+        data = text.encode()
+        self._notes = self._notes % 65_535 + 1
+        pieces = [data[i : i + _TEXT_MAX] for i in range(0, max(len(data), 1), _TEXT_MAX)]
+        if len(pieces[-1]) == _TEXT_MAX and len(pieces) > 1:
+            pieces.append(b"")  # the end of a text in pieces is a piece that is not full
+        for number, piece in enumerate(pieces):
+            identity = self._notes if len(pieces) > 1 else 0
+            message = mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_WARNING, piece, identity, number)
+            record = self._record(now_s, bytes(message.pack(self._codec)))
+            for file in (*self._files.values(), self._merged):
+                file.write(record)
 
     def close(self) -> None:
         """Finish all files."""
         for file in (*self._files.values(), self._merged):
             file.close()
+
+    def _record(self, now_s: float, frame: bytes) -> bytes:
+        return _STAMP.pack(round((self._epoch_s + now_s) * 1e6)) + frame
 
     def __enter__(self) -> FleetLog:
         return self

@@ -1,0 +1,313 @@
+"""A ground station's talk with many vehicles, side by side: everything waits without blocking, timed by a clock.
+
+What goes on with a vehicle is a generator that yields whenever it waits; :meth:`Station.together` runs them all. Each
+holds at most one of every kind of exchange (transfer, command, parameter) with its vehicle, which takes in the answers.
+"""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
+from typing import Any, Generic, Protocol, TypeVar, cast
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.command_protocol import Command
+from adapters.endpoint import Endpoint
+from adapters.mission_items import MissionItem
+from adapters.mission_protocol import MissionDownload, MissionUpload, Party
+from adapters.parameter_protocol import ParameterRead, ParameterSet, ParameterValue
+from adapters.pymavlink_link import PymavlinkLink
+from adapters.return_settings import Setting
+from adapters.telemetry_log import FleetLog
+from missionplanner.errors import LinkError
+from missionplanner.vehicle import Autopilot, VehicleClass
+
+Message = Any  # a pymavlink message: its classes are generated, and carry no types
+Result = TypeVar("Result")
+Waiting = Generator[None, None, Result]  # something that goes on over time: yields until its next look at the world
+Steps = Waiting[None]
+TransferProgress = Callable[[str, int, int], None]
+"""Called with a vehicle's name, its items transferred and the count of them."""
+
+
+class Clock(Protocol):
+    """The time by which a fleet is flown: the wall's, or a simulator's that only runs while somebody waits."""
+
+    def now_s(self) -> float:
+        """Return seconds since some fixed instant; never falls."""
+        ...
+
+    def wait(self, seconds: float) -> None:
+        """Let at most that time pass; may return as soon as something has arrived."""
+        ...
+
+
+class WallClock:
+    """Real time; waiting ends early when one of the endpoints has something to read."""
+
+    def __init__(self, endpoints: Sequence[Endpoint]) -> None:
+        self._endpoints = endpoints
+        self._start_s = time.monotonic()
+
+    def now_s(self) -> float:
+        """Return seconds since the clock was made."""
+        return time.monotonic() - self._start_s
+
+    def wait(self, seconds: float) -> None:
+        """Sleep until something arrives, at most ``seconds``."""
+        descriptors = [fd for endpoint in self._endpoints for fd in endpoint.filenos()]
+        if descriptors:
+            select.select(descriptors, [], [], max(seconds, 0.0))
+        else:
+            time.sleep(max(seconds, 0.0))
+
+
+WAIT_S = 0.05
+LISTEN_S = 2.5  # two heartbeats: long enough to hear a second vehicle with the same sysid
+ANSWER_S = 7.0
+
+_AUTOPILOTS: dict[int, Autopilot] = {
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
+    mavlink.MAV_AUTOPILOT_PX4: "px4",
+}
+_COPTERS = frozenset({2, 3, 4, 13, 14, 15, 29, 35})  # MAV_TYPE: multirotors, coaxial and helicopters
+_PLANES = frozenset({1, *range(19, 26)})  # fixed wing and VTOL
+
+
+class Peer:
+    """What is heard of one vehicle, and the exchanges that go on with it."""
+
+    def __init__(self, party: Party) -> None:
+        self.party = party
+        self.heartbeat: Message | None = None
+        self.upload: MissionUpload | None = None
+        self.download: MissionDownload | None = None
+        self.command: Command | None = None
+        self.parameter: ParameterRead | ParameterSet | None = None
+        self._refusal: LinkError | None = None
+
+    @property
+    def armed(self) -> bool:
+        """Whether its motors may turn, by its last heartbeat."""
+        return self.heartbeat is not None and bool(self.heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+
+    @property
+    def autopilot(self) -> Autopilot | str:
+        """What steers it: an autopilot that we know, else a description of it."""
+        assert self.heartbeat is not None
+        number = self.heartbeat.autopilot
+        return _AUTOPILOTS.get(number, f"autopilot {number}")
+
+    @property
+    def vehicle_class(self) -> VehicleClass | str:
+        """What it is: a class that we know, else a description of it."""
+        assert self.heartbeat is not None
+        kind = self.heartbeat.type
+        return "copter" if kind in _COPTERS else "plane" if kind in _PLANES else f"MAV_TYPE {kind}"
+
+    def known_kind(self) -> tuple[Autopilot, VehicleClass]:
+        """Return what steers it and what it is.
+
+        Raises
+        ------
+        LinkError
+            One of them is none of ours.
+        """
+        autopilot, vehicle_class = self.autopilot, self.vehicle_class
+        if autopilot not in ("ardupilot", "px4") or vehicle_class not in ("copter", "plane"):
+            raise self.error(
+                f"expected a copter or plane of ArduPilot or PX4, got {autopilot}, {vehicle_class}: it is not checked"
+            )
+        return cast("Autopilot", autopilot), cast("VehicleClass", vehicle_class)
+
+    def error(self, text: str) -> LinkError:
+        """Return an error that names the vehicle."""
+        return self.party.error(text)
+
+    def receive(self, message: Message, now_s: float) -> list[Message]:
+        """Take one message of this vehicle and return what to answer."""
+        if message.get_type() == "HEARTBEAT":
+            self.heartbeat = message
+        if self.command is not None:
+            self.command.receive(message, now_s)
+        if self.parameter is not None:
+            self.parameter.receive(message, now_s)
+        replies: list[Message] = []
+        for transfer in (self.upload, self.download):
+            if transfer is not None and self._refusal is None:
+                try:
+                    replies += transfer.receive(message, now_s)
+                except LinkError as refusal:  # this vehicle's alone: the others go on
+                    self._refusal = refusal
+        return replies
+
+    def check_transfer(self) -> None:
+        """Raise what the vehicle has answered to its transfer, if it was a refusal."""
+        if self._refusal is not None:
+            refusal, self._refusal = self._refusal, None
+            self.upload = self.download = None
+            raise refusal
+
+
+AnyPeer = TypeVar("AnyPeer", bound=Peer)
+
+
+class Station(Generic[AnyPeer]):
+    """The loop beneath: one link, its clock, and the vehicles on it by sysid."""
+
+    def __init__(
+        self, peers: Mapping[int, AnyPeer], endpoints: Sequence[Endpoint], clock: Clock, log: FleetLog | None
+    ) -> None:
+        self.clock = clock
+        self.link = PymavlinkLink(endpoints, log)
+        self.peers = dict(peers)
+        self.heard: set[int] = set()
+
+    def wait_for(self, sysids: Sequence[int] | None, names: Mapping[int, str], timeout_s: float) -> None:
+        """Listen until all these vehicles (None: at least one) are heard, long enough to hear two with one sysid.
+
+        Raises
+        ------
+        LinkError
+            Somebody is not heard in time; two vehicles have one sysid.
+        """
+        begun_s = self.clock.now_s()
+        self.settle(LISTEN_S)
+        while True:
+            known = [sysid for sysid, peer in self.peers.items() if peer.heartbeat is not None]
+            missing = ["a vehicle"] if not known else []
+            if sysids is not None:
+                missing = [names[sysid] for sysid in sysids if sysid not in known]
+            if not missing:
+                return
+            if self.clock.now_s() >= begun_s + timeout_s:
+                raise LinkError(self._missing(missing, set(sysids or ()), timeout_s))
+            self.step()
+
+    def together(self, goings: Mapping[int, Steps], after_failure: str = "") -> None:
+        """Go on with all vehicles side by side; when some fail, let the others finish, then say who failed."""
+        running = dict(goings)
+        failures: list[LinkError] = []
+        while running:
+            self.exchange()
+            for sysid in list(running):
+                try:
+                    next(running[sysid])
+                except StopIteration:
+                    del running[sysid]
+                except LinkError as failure:
+                    failures.append(failure)
+                    del running[sysid]
+            if running:
+                self.clock.wait(WAIT_S)
+        if failures:
+            error = joined(failures)
+            raise LinkError(f"{error}; {after_failure}") if after_failure else error
+
+    def settle(self, duration_s: float) -> None:
+        """Listen for a while."""
+        end_s = self.clock.now_s() + duration_s
+        while self.clock.now_s() < end_s:
+            self.step()
+
+    def step(self) -> None:
+        """Take in what has arrived, then wait a moment."""
+        self.exchange()
+        self.clock.wait(WAIT_S)
+
+    def exchange(self) -> None:
+        """Take in all that has arrived, and answer what must be answered."""
+        now_s = self.clock.now_s()
+        for message in self.link.receive(now_s):
+            sysid = message.get_srcSystem()
+            if sysid not in self.heard:
+                self.heard.add(sysid)
+                self.met(sysid)
+            peer = self.peers.get(sysid)
+            if peer is not None:
+                self.send(peer, peer.receive(message, now_s))
+
+    def met(self, sysid: int) -> None:
+        """Take note of a vehicle that is heard for the first time."""
+
+    def send(self, peer: Peer, messages: Sequence[Message]) -> None:
+        """Send messages to a vehicle that was heard."""
+        for message in messages:
+            self.link.send(message, peer.party.sysid, self.clock.now_s())
+
+    # exchanges with one vehicle
+
+    def commanding(
+        self, peer: Peer, number: int, *params: float, retry_s: float = 0.7, patience_s: float = ANSWER_S
+    ) -> Waiting[int]:
+        """Command it, and return the MAV_RESULT that it answers."""
+        party = peer.party
+        command = Command(party.vehicle, party.sysid, number, *params, retry_s=retry_s, patience_s=patience_s)
+        peer.command = command
+        while command.result is None:
+            self.send(peer, command.poll(self.clock.now_s()))
+            yield
+        peer.command = None
+        return command.result
+
+    def downloading(
+        self,
+        peer: Peer,
+        tell: Callable[[int, int | None], None] = lambda done, total: None,
+        mission_type: int = mavlink.MAV_MISSION_TYPE_MISSION,
+    ) -> Waiting[tuple[MissionItem, ...]]:
+        """Read its mission, fence or rally points; ``tell`` hears of the items read and, once known, their count."""
+        download = MissionDownload(peer.party, mission_type=mission_type)
+        peer.download = download
+        shown = -1
+        while not download.done:
+            self.send(peer, download.poll(self.clock.now_s()))
+            if len(download.items) != shown:
+                shown = len(download.items)
+                tell(shown, download.total)
+            yield
+            peer.check_transfer()
+        peer.download = None
+        tell(len(download.items), download.total)
+        return download.items
+
+    def reading(
+        self, peer: Peer, autopilot: Autopilot, setting: Setting, witness: str | None
+    ) -> Waiting[ParameterValue | None]:
+        """Read a parameter; None where it is optional and, as the known parameter ``witness`` shows, does not exist."""
+        read = ParameterRead(peer.party, autopilot, setting.names, witness=witness if setting.optional else None)
+        peer.parameter = read
+        while not read.done:
+            self.send(peer, read.poll(self.clock.now_s()))
+            yield
+        peer.parameter = None
+        return read.held
+
+    def setting(self, peer: Peer, autopilot: Autopilot, held: ParameterValue, value: float) -> Steps:
+        """Set a parameter to a value that its type can hold."""
+        change = ParameterSet(peer.party, autopilot, held, value)
+        peer.parameter = change
+        while not change.done:
+            self.send(peer, change.poll(self.clock.now_s()))
+            yield
+        peer.parameter = None
+
+    def _missing(self, names: Sequence[str], expected: set[int], timeout_s: float) -> str:
+        others = sorted(self.heard - expected)
+        if not self.heard:
+            heard = "nobody answered"
+        else:
+            present = ", ".join(str(sysid) for sysid in sorted(self.heard))
+            heard = f"heard only sysid {present}" if others else f"the others answered (sysid {present})"
+        return (
+            f"{self.link.urls}: expected {', '.join(names)} within {timeout_s:g} s, {heard}; "
+            "check that the vehicles are on, send to this address, and have the sysids of the plan"
+        )
+
+
+def joined(failures: Sequence[LinkError]) -> LinkError:
+    """Return the first failure, with the number of others."""
+    others = f" (and {len(failures) - 1} more: {'; '.join(str(e) for e in failures[1:])})" if len(failures) > 1 else ""
+    return LinkError(f"{failures[0]}{others}")
