@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, MutableMapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum, auto
 
 import numpy as np
@@ -489,7 +489,10 @@ class Autopilot:
         return _Stage(_Doing.LEGS, route, (-1,) * len(route.points_m), done_seq=seq, lands_from=0)
 
     def _return(self, seq: int) -> _Stage:
-        route = return_points(self._motion, self.position_m, self.home_m)
+        here = self.position_m
+        x_m, y_m, height_m = map(float, here - self.home_m)
+        return_height_m = self.personality.return_height_m(self.parameters, height_m, math.hypot(x_m, y_m))
+        route = return_points(replace(self._motion, return_height_m=return_height_m), here, self.home_m)
         nowhere = (-1,) * len(route.points_m)
         if self.personality.vehicle_class == "plane":  # planes circle above home
             return _Stage(_Doing.LEGS, route, nowhere, math.inf)

@@ -60,6 +60,10 @@ class TransferRules:
     commands: frozenset[int]
 
 
+ReturnHeight = Callable[[Mapping[str, int | float], float, float], float]
+"""Height above home that RTL returns at, from the parameters, the present height above home, and the way home (m)."""
+
+
 @dataclass(frozen=True, slots=True)
 class Personality:
     """One autopilot for one class of vehicle."""
@@ -94,6 +98,7 @@ class Personality:
     speed_parameter: tuple[str, float]  # its name, and its unit in m/s
     motion_parameters: Callable[[MotionModel], Mapping[str, int | float]]  # what shows the navigator's settings
     parameters: Mapping[str, int | float]  # the others; integers are INT32, floats REAL32
+    return_height_m: ReturnHeight
     speed_limit_parameters: tuple[str, str] | None = None  # speeds commanded outside are ignored
 
     def mode(self, name: str) -> Mode:
@@ -432,6 +437,44 @@ def _px4_plane_parameters(motion: MotionModel) -> Mapping[str, int | float]:
     }
 
 
+_RTL_ALT_MIN_M = 0.3
+_CONE_SLOPE_MIN = 0.5  # shallower cones are none
+
+
+def _copter_return_height_m(parameters: Mapping[str, int | float], height_m: float, distance_m: float) -> float:
+    """ArduCopter: ModeRTL::compute_return_target of 4.5, above home."""
+    least_m = max(_RTL_ALT_MIN_M, height_m + max(0.0, 0.01 * parameters["RTL_CLIMB_MIN"]))
+    target_m = max(0.01 * parameters["RTL_ALT"], least_m)
+    if parameters["RTL_CONE_SLOPE"] >= _CONE_SLOPE_MIN:
+        target_m = min(target_m, max(distance_m * parameters["RTL_CONE_SLOPE"], least_m))
+    return target_m
+
+
+def _plane_return_height_m(parameters: Mapping[str, int | float], height_m: float, distance_m: float) -> float:
+    """ArduPlane: RTL_ALTITUDE, below 0 the present height."""
+    del distance_m
+    return float(parameters["RTL_ALTITUDE"]) if parameters["RTL_ALTITUDE"] >= 0.0 else height_m
+
+
+def _px4_copter_return_height_m(parameters: Mapping[str, int | float], height_m: float, distance_m: float) -> float:
+    """PX4 1.15: RTL::findRtlDestination and calculate_return_alt_from_cone_half_angle."""
+    target_m, half_angle_deg, near_m = (float(parameters[n]) for n in ("RTL_RETURN_ALT", "RTL_CONE_ANG", "NAV_ACC_RAD"))
+    if half_angle_deg > 0.0:
+        if distance_m <= near_m:
+            target_m = 2.0 * distance_m
+        else:
+            if distance_m <= parameters["RTL_MIN_DIST"]:
+                target_m = min(target_m, distance_m / math.tan(math.radians(min(max(half_angle_deg, 1.0), 89.0))))
+            target_m = max(target_m, 2.0 * near_m)
+    return max(target_m, height_m)
+
+
+def _px4_plane_return_height_m(parameters: Mapping[str, int | float], height_m: float, distance_m: float) -> float:
+    """PX4 planes end where they circle: RTL_DESCEND_ALT, no higher than they return."""
+    del distance_m
+    return min(float(parameters["RTL_DESCEND_ALT"]), max(float(parameters["RTL_RETURN_ALT"]), height_m))
+
+
 _ARDUCOPTER = Personality(
     autopilot="ardupilot",
     vehicle_class="copter",
@@ -470,9 +513,13 @@ _ARDUCOPTER = Personality(
             "DISARM_DELAY": 10,
             "MIS_RESTART": 0,
             "RTL_ALT": 1500,
+            "RTL_ALT_TYPE": 0,
+            "RTL_CLIMB_MIN": 0,
+            "RTL_CONE_SLOPE": 3.0,
             "RTL_LOIT_TIME": 5000,
         }
     ),
+    return_height_m=_copter_return_height_m,
 )
 _ARDUPLANE = replace(
     _ARDUCOPTER,
@@ -487,6 +534,7 @@ _ARDUPLANE = replace(
     speed_limit_parameters=("AIRSPEED_MIN", "AIRSPEED_MAX"),
     motion_parameters=_plane_parameters,
     parameters=MappingProxyType({"ARMING_CHECK": 1, "MIS_RESTART": 0, "RTL_ALTITUDE": 100.0}),
+    return_height_m=_plane_return_height_m,
 )
 _PX4_COPTER = Personality(
     autopilot="px4",
@@ -524,11 +572,15 @@ _PX4_COPTER = Personality(
             "COM_DISARM_PRFLT": 10.0,
             "MIS_TAKEOFF_ALT": 2.5,
             "MIS_DIST_1WP": 10_000.0,
+            "RTL_CONE_ANG": 45,
             "RTL_DESCEND_ALT": 30.0,
+            "RTL_MIN_DIST": 10.0,
             "RTL_RETURN_ALT": 60.0,
+            "RTL_TYPE": 0,  # the only one that is simulated
             "NAV_RCL_ACT": 2,
         }
     ),
+    return_height_m=_px4_copter_return_height_m,
 )
 _PX4_PLANE = replace(
     _PX4_COPTER,
@@ -536,6 +588,8 @@ _PX4_PLANE = replace(
     type_id=mavlink.MAV_TYPE_FIXED_WING,
     speed_parameter=("FW_AIRSPD_TRIM", 1.0),
     motion_parameters=_px4_plane_parameters,
+    parameters=MappingProxyType({**_PX4_COPTER.parameters, "RTL_DESCEND_ALT": 100.0, "RTL_RETURN_ALT": 100.0}),
+    return_height_m=_px4_plane_return_height_m,
 )
 
 _PERSONALITIES = {(p.autopilot, p.vehicle_class): p for p in (_ARDUCOPTER, _ARDUPLANE, _PX4_COPTER, _PX4_PLANE)}
