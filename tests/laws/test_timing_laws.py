@@ -1,4 +1,4 @@
-"""Separation against dense sampling; arrival against the model."""
+"""Separation and slack against dense sampling; arrival against the model."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 
 from missionplanner.errors import InfeasibleError
 from missionplanner.plan import Trajectory
-from missionplanner.timing import arrival_after, arrival_window, common_arrival, least_separation, speed_for_arrival
+from missionplanner.timing import (
+    arrival_after,
+    arrival_window,
+    common_arrival,
+    lateness_slack,
+    least_separation,
+    least_slack,
+    speed_for_arrival,
+)
 from missionplanner.vehicle import MotionModel
 
 COPTER = MotionModel("ardupilot", "copter", 2.5, 1.0, 2.5, 1.5, 2.0, 0.0)
@@ -33,6 +41,96 @@ def test_separation_is_the_least_of_all_instants(seed: int, counts: tuple[int, i
     assert np.linalg.norm(one.at(pair.t_s) - other.at(pair.t_s)) == pytest.approx(pair.distance_m, abs=1e-6)
     (swapped,) = least_separation([other, one])
     assert swapped.distance_m == pytest.approx(pair.distance_m, abs=1e-12)
+
+
+STEP_S = 0.05
+
+
+def sampled_slack(one: Trajectory, other: Trajectory, required_m: float, limit_s: float) -> float:
+    """Return the least difference of all sampled times at which two are too close: never less than the true one."""
+    begin, end = min(one.t_s[0], other.t_s[0]), max(one.t_s[-1], other.t_s[-1])
+    t = np.linspace(begin, end, max(2, int((end - begin) / STEP_S) + 2))
+    a, b = one.at(t), other.at(t)
+    close = np.linalg.norm(a[:, None] - b[None], axis=-1) < required_m
+    return float(min(np.abs(t[:, None] - t[None])[close].min(initial=limit_s), limit_s))
+
+
+def fastest_m_s(flight: Trajectory) -> float:
+    speeds = np.linalg.norm(np.diff(flight.position_m, axis=0), axis=1) / np.diff(flight.t_s)
+    return float(speeds.max(initial=0.0))
+
+
+def flights(longest: int) -> st.SearchStrategy[Trajectory]:
+    """Short motions, with standing still, turning back and equal times now and then."""
+    spot = st.tuples(st.integers(-40, 40), st.integers(-40, 40), st.integers(0, 20))
+    pause = st.sampled_from([0.5, 1.0, 1.7, 4.0, 20.0])
+
+    def flown(start: int, hops: list[tuple[tuple[int, int, int], float]], home: tuple[int, int, int]) -> Trajectory:
+        t = start + np.concatenate([[0.0], np.cumsum([s for _, s in hops])])
+        return Trajectory(t, np.array([home, *(p for p, _ in hops)], dtype=float))
+
+    return st.builds(flown, st.integers(0, 30), st.lists(st.tuples(spot, pause), max_size=longest), spot)
+
+
+def assert_within_sampling(one: Trajectory, other: Trajectory, required_m: float, limit_s: float) -> None:
+    slack_s = lateness_slack(one, other, required_m, limit_s)
+    assert slack_s <= sampled_slack(one, other, required_m, limit_s) + 1e-9
+    # no further below the truth than told: what is too close at any times is nearly so at sampled ones
+    wider_m = required_m + STEP_S * (fastest_m_s(one) + fastest_m_s(other)) + 1e-6
+    assert slack_s >= sampled_slack(one, other, wider_m, limit_s + 1.0) - 2 * STEP_S - 0.01 or slack_s == limit_s
+    assert 0.0 <= slack_s <= limit_s
+
+
+@settings(deadline=None, max_examples=60)
+@given(one=flights(6), other=flights(6), required_m=st.floats(0.5, 60.0), limit_s=st.sampled_from([5.0, 60.0]))
+def test_slack_is_the_least_difference_of_times_too_close(
+    one: Trajectory, other: Trajectory, required_m: float, limit_s: float
+) -> None:
+    assert_within_sampling(one, other, required_m, limit_s)
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=seeds, counts=st.tuples(st.integers(1, 60), st.integers(1, 60)), required_m=st.floats(0.5, 60.0))
+def test_slack_of_long_flights_too(seed: int, counts: tuple[int, int], required_m: float) -> None:
+    rng = np.random.default_rng(seed)
+    one, other = (wander(rng, n) for n in counts)
+    assert_within_sampling(one, other, required_m, 60.0)
+
+
+@settings(deadline=None, max_examples=60)
+@given(one=flights(8), other=flights(8), required_m=st.floats(0.5, 60.0), late_s=st.floats(-1.0, 1.0))
+def test_whoever_is_late_by_no_more_than_the_slack_keeps_apart(
+    one: Trajectory, other: Trajectory, required_m: float, late_s: float
+) -> None:
+    slack_s = lateness_slack(one, other, required_m)
+    if slack_s > 0.0:
+        late = Trajectory(one.t_s + late_s * slack_s, one.position_m)
+        (pair,) = least_separation([late, other])
+        assert pair.distance_m >= required_m - 2e-6
+    if slack_s < 59.9:  # and beyond it somebody is met soon
+        shifted = [Trajectory(one.t_s + by_s, one.position_m) for by_s in (slack_s + 0.05, -slack_s - 0.05)]
+        assert min(lateness_slack(later, other, required_m) for later in shifted) <= 0.05
+
+
+@settings(deadline=None, max_examples=40)
+@given(one=flights(8), other=flights(8), required_m=st.floats(0.5, 60.0), more_m=st.floats(0.0, 20.0))
+def test_slack_is_the_same_either_way_and_less_for_more_distance(
+    one: Trajectory, other: Trajectory, required_m: float, more_m: float
+) -> None:
+    slack_s = lateness_slack(one, other, required_m)
+    assert lateness_slack(other, one, required_m) == pytest.approx(slack_s, abs=0.011)
+    assert lateness_slack(one, other, required_m + more_m) <= slack_s + 0.011
+
+
+@settings(deadline=None, max_examples=20)
+@given(fleet=st.lists(flights(8), min_size=2, max_size=5), required_m=st.floats(0.5, 60.0))
+def test_a_fleets_slack_is_that_of_its_pairs(fleet: list[Trajectory], required_m: float) -> None:
+    found = least_slack(fleet, lambda i, j: required_m + i + j)
+    assert len(found) == len(fleet) * (len(fleet) - 1) // 2
+    assert [s.slack_s for s in found] == sorted(s.slack_s for s in found)
+    for slack in found:
+        alone_s = lateness_slack(fleet[slack.first], fleet[slack.second], required_m + slack.first + slack.second)
+        assert slack.slack_s == pytest.approx(alone_s, abs=0.011)
 
 
 @settings(deadline=None, max_examples=25)
