@@ -371,7 +371,7 @@ class _Reader:
         self.here_m = home_m
         self.wait_s = 0.0  # on the ground
         self.delayed = False  # whether DO commands wait for a condition
-        self.datums: set[str] = set()
+        self.datums: dict[str, int] = {}  # the first item in each
         self.legs: list[Leg] = []
         self.gaps: list[Gap] = []
         self.notes: list[str] = []
@@ -393,7 +393,8 @@ class _Reader:
             what = "ArduPlane returns home" if self.ardupilot and self.plane else "it stays at its last waypoint"
             self.notes.append(f"no item ends the mission: {what}")
         if len(self.datums) > 1:
-            self.notes.append("altitudes AMSL and above home are mixed")
+            told = " and ".join(f"{datum} (first in item {seq})" for datum, seq in self.datums.items())
+            self.notes.append(f"altitudes are mixed: {told}")
 
     def _take(self, item: MissionItem) -> None:
         if item.command in NO_EFFECT:
@@ -467,7 +468,8 @@ class _Reader:
         if level or (self.ardupilot and not self.plane and int(item.z * 100.0) == 0):
             return float(self.here_m[2])
         amsl = item.frame in _AMSL_FRAMES
-        self.datums.add("AMSL" if amsl else "home")
+        if item.command != TAKEOFF:  # its height is above home in many missions, ours too
+            self.datums.setdefault("AMSL" if amsl else "above home", item.seq)
         return item.z if amsl else float(self.home_m[2]) + item.z
 
     def _add(self, leg: Leg) -> None:
