@@ -1,8 +1,8 @@
 """How low a tube passes above the ground: proven bounds for the continuous surface, not samples of it.
 
-The ground is the bicubic surface of :mod:`.kernels`. Each of its patches is a Bezier patch, so it lies between the least
-and the greatest of its sixteen control heights, and its slopes between those of their differences; cutting a patch
-down to the piece in question makes these bounds as tight as wanted. Over large regions a pyramid of block bounds
+The ground is the bicubic surface of :mod:`.kernels`. Each of its patches is a Bezier patch, so it lies between the
+least and the greatest of its sixteen control heights, and its slopes between those of their differences; cutting a
+patch down to the piece in question makes these bounds as tight as wanted. Over large regions a pyramid of block bounds
 decides at once, its overshoot included. Missing terrain is bounded by infinity: nothing is proven above it.
 
 A tube is all within ``radius_m`` of a segment or triangle. Its least height above ground is the least of z - ground
@@ -35,7 +35,7 @@ _TURN = 1.01
 
 
 class Pyramid(NamedTuple):
-    """Bounds of the surface over blocks of 8 x 8 cells, then over ever larger ones; level k is a slice of the arrays."""
+    """Bounds of the surface over blocks of 8 x 8 cells, then over ever larger ones; each level is a slice."""
 
     low_m: npt.NDArray[np.float32]
     high_m: npt.NDArray[np.float32]
@@ -84,7 +84,7 @@ def _write_blocks(h: npt.NDArray[np.float32], low_m: npt.NDArray[np.float32], hi
             for row in range(max(0, i * _BLOCK - 1), min(h.shape[0], i * _BLOCK + _BLOCK + 2)):
                 for column in range(max(0, j * _BLOCK - 1), min(h.shape[1], j * _BLOCK + _BLOCK + 2)):
                     value = float(h[row, column])
-                    known = known and value == value  # NaN is not
+                    known = known and not math.isnan(value)
                     low = min(low, value)
                     high = max(high, value)
             over = _OVERSHOOT * (high - low) + 1e-3  # and room for single precision
@@ -296,6 +296,7 @@ def least_height(
             bound = lowest - radius - (high if sign > 0.0 else -low)
             if bound < min(enough, found) and wide <= _PATCHES:
                 _patch_bounds(t.height_amsl_m, r0 - reach_r, r1 + reach_r, c0 - reach_c, c1 + reach_c, net, bounds)
+                bound = max(bound, lowest - radius - (bounds[1] if sign > 0.0 else -bounds[0]))
                 gr = max(-bounds[2], bounds[3])
                 gc = max(-bounds[4], bounds[5])
                 gx = abs(jacobian[0, 0]) * gr + abs(jacobian[1, 0]) * gc

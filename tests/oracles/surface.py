@@ -39,3 +39,16 @@ def surface_amsl_m(path: Path, frame: LocalFrame, x_m: float, y_m: float) -> flo
                 return float("nan")
             total += heights[i, j] * keys_kernel(row - i) * keys_kernel(col - j)
     return total
+
+
+def bicubic(heights: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Return the interpolated heights (N,) at fractional rows and columns; NaN where any of 16 neighbours is missing."""
+    kernel = np.vectorize(keys_kernel, otypes=[float])
+    top, left = np.floor(row).astype(int), np.floor(column).astype(int)
+    padded = np.pad(heights, 3, constant_values=np.nan)
+    total = np.zeros(len(row))
+    for i in range(-1, 3):
+        for j in range(-1, 3):
+            known = padded[np.clip(top + i + 3, 0, padded.shape[0] - 1), np.clip(left + j + 3, 0, padded.shape[1] - 1)]
+            total += known * kernel(row - top - i) * kernel(column - left - j)
+    return total
