@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +12,13 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.endpoint import in_process_pair, open_endpoint
-from adapters.fleet_link import FleetLink, VehicleStatus, WallClock
+from adapters.fleet_link import FleetLink, VehicleStatus, WallClock, download_missions
+from adapters.mission_items import MissionItem
+from adapters.parameter_protocol import parameter_name
 from adapters.telemetry_log import FleetLog, read_log
 from missionplanner.errors import LinkError
 from missionplanner.plan import FleetFlight
-from missionplanner.vehicle import Autopilot, Ending
+from missionplanner.vehicle import Autopilot, Ending, VehicleClass
 from tests.plans import fleet_plan, small_fleet, vehicle_plan
 from tests.rig import Rig
 
@@ -162,6 +166,287 @@ def test_lost_news_of_the_goal_is_made_up_from_the_track() -> None:
     gone = ("MISSION_ITEM_REACHED", "STATUSTEXT", "MISSION_CURRENT")
     silent.pipes[0].down = lambda m: None if m.get_type() in gone else m
     assert silent.link.watch().vehicles[0].arrival_s == pytest.approx(expected_s, abs=2.0)
+
+
+# returns
+
+
+NAMES: dict[tuple[Autopilot, VehicleClass], dict[str, float]] = {
+    ("ardupilot", "copter"): {"RTL_ALT": 4250, "RTL_CONE_SLOPE": 0.0, "RTL_CLIMB_MIN": 0, "RTL_ALT_TYPE": 0},
+    ("ardupilot", "plane"): {"RTL_ALTITUDE": 42.5},
+    ("px4", "copter"): {"RTL_RETURN_ALT": 42.5, "RTL_CONE_ANG": 0, "RTL_TYPE": 0},
+    ("px4", "plane"): {"RTL_RETURN_ALT": 42.5, "RTL_DESCEND_ALT": 42.5, "RTL_TYPE": 0},
+}
+
+
+def returning(
+    autopilot: Autopilot, heights_m: Sequence[float], vehicle_class: VehicleClass = "copter", **options: Any
+) -> Rig:
+    """Return a fleet whose vehicles are planned to return at these heights."""
+    plan = small_fleet(autopilot, len(heights_m), **options)
+    vehicles = tuple(
+        replace(
+            v, vehicle_class=vehicle_class, motion=replace(v.motion, return_height_m=h, vehicle_class=vehicle_class)
+        )
+        for v, h in zip(plan.vehicles, heights_m, strict=True)
+    )
+    return Rig(replace(plan, vehicles=vehicles))
+
+
+@pytest.mark.parametrize(("autopilot", "vehicle_class"), NAMES)
+def test_what_makes_vehicles_return_as_planned_is_set(autopilot: Autopilot, vehicle_class: VehicleClass) -> None:
+    rig = returning(autopilot, [42.5, 42.5], vehicle_class)
+    wanted = NAMES[autopilot, vehicle_class]
+    parameters = [link.autopilot.parameters for link in rig.sim.links]
+    before = [dict(p) for p in parameters]
+    rig.link.connect()
+    told: list[tuple[str, int, int]] = []
+    changes = rig.link.set_returns(lambda *args: told.append(args))
+    for k, held in enumerate(parameters):
+        assert {name: held[name] for name in wanted} == wanted
+        changed = {name: (before[k][name], held[name]) for name in held if held[name] != before[k][name]}
+        assert changed == {c.name: (c.before, c.after) for c in changes if c.vehicle == f"uav{k + 1}"}
+        assert list(changed) != []
+    assert [done for name, done, _ in told if name == "uav1"] == list(range(told[-1][2] + 1))
+    assert rig.link.set_returns() == ()
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_vehicles_ordered_home_return_at_their_own_heights(autopilot: Autopilot) -> None:
+    heights_m = [41.0, 52.5, 64.0]
+    rig = returning(autopilot, heights_m)
+    rig.upload()
+    rig.link.set_returns()
+    rig.link.start()
+    rig.sim.advance(25.0)
+    rig.link.order("rtl")
+    flight = rig.link.watch()
+    for flown, height_m in zip(flight.vehicles, heights_m, strict=True):
+        assert flown.landed_s is not None
+        track = flown.trajectory.position_m
+        assert np.max(track[:, 2]) - 1200.0 == pytest.approx(height_m, abs=0.3)
+        home_m = track[0]
+        away_m = np.linalg.norm((track - home_m)[:, :2], axis=1)
+        back = np.arange(len(track)) > int(np.argmax(away_m))
+        way_home = back & (away_m > 3.0) & (away_m < 0.5 * np.max(away_m))  # it brakes, comes back and climbs first
+        assert np.any(way_home)
+        assert np.min(track[way_home, 2]) - 1200.0 >= height_m - 0.5
+
+
+def test_a_fleet_whose_mission_ends_with_rtl_returns_as_high_as_planned() -> None:
+    rig = returning("ardupilot", [35.0, 47.0], end="rtl")
+    rig.upload()
+    rig.link.set_returns()
+    rig.link.start()
+    highest_m = [float(np.max(v.trajectory.position_m[:, 2])) for v in rig.link.watch().vehicles]
+    assert highest_m == pytest.approx([1235.0, 1247.0], abs=0.3)
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_returns_are_set_over_a_lossy_link(autopilot: Autopilot) -> None:
+    rig = returning(autopilot, [42.5, 55.0])
+    rig.link.connect()
+    rig.lose(0.3, seed=4)
+    changes = rig.link.set_returns()
+    heights = [
+        link.autopilot.parameters["RTL_ALT" if autopilot == "ardupilot" else "RTL_RETURN_ALT"] for link in rig.sim.links
+    ]
+    assert heights == ([4250, 5500] if autopilot == "ardupilot" else [42.5, 55.0])
+    assert len({(c.vehicle, c.name) for c in changes}) == len(changes)
+
+
+def test_firmware_of_other_years_is_set_too() -> None:
+    rig = returning("ardupilot", [42.5, 42.5])
+    new, old = (link.autopilot.parameters for link in rig.sim.links)
+    for name in ("RTL_ALT", "RTL_CLIMB_MIN"):  # ArduCopter 4.7 counts in metres
+        del new[name]
+        new[f"{name}_M"] = 7.0
+    del old["RTL_ALT_TYPE"]  # before 4.0
+    rig.link.connect()
+    rig.link.set_returns()
+    assert (new["RTL_ALT_M"], new["RTL_CLIMB_MIN_M"]) == (42.5, 0.0)
+    assert old["RTL_ALT"] == 4250
+
+
+@pytest.mark.parametrize(("autopilot", "missing"), [("ardupilot", "RTL_CONE_SLOPE"), ("px4", "RTL_RETURN_ALT")])
+def test_a_parameter_that_must_be_there_and_is_not_is_named(autopilot: Autopilot, missing: str) -> None:
+    rig = returning(autopilot, [42.5, 42.5])
+    del rig.sim.links[1].autopilot.parameters[missing]
+    rig.link.connect()
+    with pytest.raises(LinkError) as error:
+        rig.link.set_returns()
+    assert str(error.value).startswith(f"uav2 (sysid 2): expected parameter {missing}, got no answer to 20 requests")
+    assert str(error.value).endswith("nothing was armed")
+
+
+def test_a_vehicle_that_keeps_another_value_is_named() -> None:
+    rig = returning("px4", [42.5, 42.5])
+    rig.link.connect()
+
+    def lower(message: Any) -> Any:
+        if message.get_type() == "PARAM_SET":
+            message.param_value = 30.0
+        return message
+
+    rig.pipes[1].up = lower
+    with pytest.raises(LinkError) as error:
+        rig.link.set_returns()
+    says = "uav2 (sysid 2): parameter RTL_RETURN_ALT: sent 42.5, the vehicle holds 30; nothing was armed"
+    assert str(error.value) == says
+
+
+def test_a_value_that_another_one_changes_is_found_when_all_are_read_again() -> None:
+    rig = returning("ardupilot", [42.5])
+    rig.link.connect()
+
+    def meddling(message: Any) -> Any:
+        if message.get_type() == "PARAM_REQUEST_READ" and parameter_name(message) == "RTL_ALT_TYPE":
+            rig.sim.links[0].autopilot.parameters["RTL_ALT"] = 1000
+        return message
+
+    rig.pipes[0].up = meddling
+    with pytest.raises(LinkError, match="parameter RTL_ALT: sent 4250, the vehicle holds 1000; nothing was armed"):
+        rig.link.set_returns()
+
+
+def test_a_height_that_the_vehicles_type_cannot_hold_is_refused() -> None:
+    rig = returning("ardupilot", [42.5], "plane")
+    rig.sim.links[0].autopilot.parameters["RTL_ALTITUDE"] = 100  # whole metres
+    rig.link.connect()
+    with pytest.raises(
+        LinkError, match=r"RTL_ALTITUDE: cannot hold 42.5 m \(it counts whole steps of 1 m\): change the"
+    ):
+        rig.link.set_returns()
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_vehicle_with_rally_points_is_refused(autopilot: Autopilot) -> None:
+    rig = returning(autopilot, [42.5, 42.5])
+    rig.link.connect()
+    rally = MissionItem(0, 3, mavlink.MAV_CMD_NAV_RALLY_POINT, x=1, y=1, z=30.0)
+    rig.sim.links[1].missions._stores[mavlink.MAV_MISSION_TYPE_RALLY] = [rally, replace(rally, seq=1)]
+    with pytest.raises(LinkError, match=r"uav2 \(sysid 2\): holds 2 rally points.*clear them; nothing was armed"):
+        rig.link.set_returns()
+
+
+def test_returns_of_an_armed_vehicle_are_left_alone() -> None:
+    rig = returning("px4", [42.5])
+    rig.upload()
+    rig.link.start()
+    with pytest.raises(
+        LinkError, match="is armed: land and disarm it before setting its return height; nothing was set"
+    ):
+        rig.link.set_returns()
+    assert rig.sim.links[0].autopilot.parameters["RTL_RETURN_ALT"] == 60.0
+
+
+# what vehicles hold
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_what_was_read_back_is_what_the_vehicles_hold(autopilot: Autopilot) -> None:
+    rig = Rig(small_fleet(autopilot, 2))
+    rig.link.connect()
+    rig.link.upload()
+    assert rig.link.held == {}
+    rig.link.verify()
+    for link in rig.sim.links:
+        held = [replace(item, current=0) for item in rig.link.held[link.sysid]]
+        assert held == [replace(item, current=0) for item in link.missions.items()]
+    rig.link.upload()
+    assert rig.link.held == {}
+
+
+def test_a_mission_that_reads_back_otherwise_is_not_held() -> None:
+    rig = Rig(small_fleet("px4", 2))
+    rig.link.connect()
+    rig.link.upload()
+    rig.pipes[0].down = lambda m: setattr(m, "z", 7.0) or m if m.get_type() == "MISSION_ITEM_INT" else m
+    with pytest.raises(LinkError, match="uav1"):
+        rig.link.verify()
+    assert list(rig.link.held) == [2]
+
+
+@pytest.mark.parametrize(("autopilot", "vehicle_class"), NAMES)
+def test_missions_are_read_of_vehicles_that_no_plan_describes(
+    autopilot: Autopilot, vehicle_class: VehicleClass
+) -> None:
+    rig = returning(autopilot, [42.5, 55.0], vehicle_class)
+    for link in rig.sim.links:
+        link.missions._stores[0] = list(rig.link.items[link.sysid])
+    found = download_missions(rig.pipes, rig.clock)
+    assert list(found) == [1, 2]
+    for sysid, vehicle in found.items():
+        assert (vehicle.sysid, vehicle.autopilot, vehicle.vehicle_class) == (sysid, autopilot, vehicle_class)
+        assert [i.command for i in vehicle.items] == [i.command for i in rig.link.items[sysid]]
+        assert (
+            vehicle.return_height_m == {"ardupilot": 15.0, "px4": 60.0}[autopilot]
+            if vehicle_class == "copter"
+            else 100.0
+        )
+        assert vehicle.home is not None
+        np.testing.assert_allclose(
+            rig.sim.frame.to_local(vehicle.home.lat_deg, vehicle.home.lon_deg, vehicle.home.alt_amsl_m),
+            (0.0, 40.0 * sysid, 1200.0),
+            atol=0.02,
+        )
+    cone = {"ardupilot": "RTL_CONE_SLOPE is 3", "px4": "RTL_CONE_ANG is 45"}[autopilot]
+    remarks = found[1].remarks
+    assert remarks == ((f"{cone}: its return is known only for 0",) if vehicle_class == "copter" else ())
+    rig.link.connect()
+    rig.link.set_returns()
+    again = download_missions(rig.pipes, rig.clock, expected=[2])
+    assert list(again) == [2]
+    assert (again[2].return_height_m, again[2].remarks) == (55.0, ())
+
+
+def test_reading_changes_nothing_and_tells_of_rally_points_and_of_no_height() -> None:
+    rig = returning("ardupilot", [42.5], "plane")
+    parameters = rig.sim.links[0].autopilot.parameters
+    parameters["RTL_ALTITUDE"] = -1.0
+    rally = MissionItem(0, 3, mavlink.MAV_CMD_NAV_RALLY_POINT, x=1, y=1, z=30.0)
+    rig.sim.links[0].missions._stores[mavlink.MAV_MISSION_TYPE_RALLY] = [rally]
+    before = dict(parameters)
+    sent: list[str] = []
+
+    def note(message: Any) -> Any:
+        sent.append(message.get_type())
+        return message
+
+    rig.pipes[0].up = note
+    [vehicle] = download_missions(rig.pipes, rig.clock).values()
+    assert vehicle.items == ()
+    assert [remark.split(",")[0] for remark in vehicle.remarks] == [
+        "it holds 1 rally points",
+        "RTL_ALTITUDE is -1: it returns at its present height",
+    ]
+    assert dict(parameters) == before
+    assert not {"PARAM_SET", "MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_ITEM_INT"} & set(sent)
+
+
+def test_a_vehicle_that_is_expected_and_silent_is_named() -> None:
+    rig = Rig(small_fleet("px4", 2))
+    with pytest.raises(LinkError, match=r"expected sysid 7 within 5 s, heard only sysid 1, 2"):
+        download_missions(rig.pipes, rig.clock, expected=[1, 7], timeout_s=5.0)
+    for pipe in rig.pipes:
+        pipe.down = lambda m: None
+    with pytest.raises(LinkError, match="expected a vehicle within 5 s, nobody answered"):
+        download_missions(rig.pipes, rig.clock, timeout_s=5.0)
+
+
+def test_a_vehicle_of_an_unknown_kind_is_not_read() -> None:
+    rig = Rig(fleet_plan())
+
+    def disguise(message: Any) -> Any:
+        if message.get_type() == "HEARTBEAT":
+            message.type = mavlink.MAV_TYPE_GROUND_ROVER
+        return message
+
+    rig.pipes[0].down = disguise
+    with pytest.raises(
+        LinkError, match=r"vehicle 1 \(sysid 1\): expected a copter or plane of ArduPilot or PX4, got ard"
+    ):
+        download_missions(rig.pipes, rig.clock)
 
 
 # failures

@@ -304,6 +304,19 @@ def test_a_busy_vehicle_is_asked_for_its_mission_again() -> None:
             download.receive(ack(mavlink.MAV_MISSION_DENIED), 2.0 + k)
 
 
+def test_firmware_without_rally_points_holds_none() -> None:
+    download = MissionDownload(PARTY, mission_type=mavlink.MAV_MISSION_TYPE_RALLY)
+    download.poll(0.0)
+    refusal = mavlink.MAVLink_mission_ack_message(255, 190, mavlink.MAV_MISSION_UNSUPPORTED, mission_type=2)
+    refusal.pack(mavlink.MAVLink(None, srcSystem=PARTY.sysid, srcComponent=1))
+    assert download.receive(refusal, 0.1) == []
+    assert (download.done, download.items, download.total) == (True, (), 0)
+    mission = MissionDownload(PARTY)
+    mission.poll(0.0)
+    mission.receive(ack(mavlink.MAV_MISSION_UNSUPPORTED), 0.1)
+    assert not mission.done
+
+
 def test_a_mission_that_changes_while_it_is_read_is_read_anew() -> None:
     download = MissionDownload(PARTY)
     download.poll(0.0)

@@ -9,8 +9,10 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.mission_items import MissionItem
-from missionplanner.vehicle import Autopilot
+from missionplanner.mission import VehicleSettings
+from missionplanner.vehicle import Autopilot, VehicleClass, motion_model
 from sim.autopilot import LandedState, MissionState
+from sim.personality import personality
 from tests.simulated import LAT, LON, Ground, mission, of_type, renumbered, texts
 
 BOTH = pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
@@ -208,6 +210,73 @@ def test_mission_that_ends_with_rtl_ends_at_home(autopilot: Autopilot) -> None:
     ground.fly_mission()
     assert ground.autopilot.position_m == pytest.approx(ground.autopilot.home_m, abs=0.1)
     assert ground.autopilot.mission_state is MissionState.COMPLETE
+
+
+RETURN_ALT = {"ardupilot": ("RTL_ALT", 0.01), "px4": ("RTL_RETURN_ALT", 1.0)}
+
+
+@BOTH
+@pytest.mark.parametrize("vehicle_class", ["copter", "plane"])
+def test_the_heights_that_autopilots_return_at_by_default_are_the_motion_models(
+    autopilot: Autopilot, vehicle_class: VehicleClass
+) -> None:
+    ground = Ground(autopilot, vehicle_class)
+    model = motion_model(VehicleSettings(autopilot=autopilot, vehicle_class=vehicle_class))
+    height_m = ground.autopilot.personality.return_height_m(ground.autopilot.parameters, 1.0, 500.0)
+    assert height_m == pytest.approx(model.return_height_m)
+
+
+@BOTH
+@pytest.mark.parametrize("height_m", [12.0, 37.5, 80.0])
+def test_a_copter_returns_as_high_as_its_parameter_says(autopilot: Autopilot, height_m: float) -> None:
+    ground = flying(autopilot, after_s=25.0)
+    name, unit = RETURN_ALT[autopilot]
+    ground.autopilot.parameters[name] = type(ground.autopilot.parameters[name])(height_m / unit)
+    begun_m = float(ground.autopilot.position_m[2]) - 584.0
+    assert ground.command(mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH) == ACCEPTED
+    highest_m = 0.0
+    while ground.autopilot.armed and ground.fleet.now_s < 300.0:
+        ground.run(0.5)
+        highest_m = max(highest_m, float(ground.autopilot.position_m[2]) - 584.0)
+    assert highest_m == pytest.approx(max(height_m, begun_m), abs=0.3)
+    assert ground.autopilot.position_m == pytest.approx(ground.autopilot.home_m, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("cone", "climb", "height_m", "distance_m", "returns_m"),
+    [
+        (3.0, 0, 4.0, 3.0, 9.0),  # of a cone near home
+        (3.0, 0, 12.0, 3.0, 12.0),  # never down
+        (3.0, 0, 4.0, 50.0, 15.0),
+        (0.4, 0, 4.0, 3.0, 15.0),  # too shallow to be one
+        (0.0, 0, 4.0, 0.5, 15.0),
+        (0.0, 500, 20.0, 50.0, 25.0),
+        (3.0, 500, 4.0, 1.0, 9.0),
+    ],
+)
+def test_arducopter_climbs_less_near_home(
+    cone: float, climb: int, height_m: float, distance_m: float, returns_m: float
+) -> None:
+    parameters = {"RTL_ALT": 1500, "RTL_CONE_SLOPE": cone, "RTL_CLIMB_MIN": climb}
+    found_m = personality("ardupilot", "copter").return_height_m(parameters, height_m, distance_m)
+    assert found_m == pytest.approx(returns_m)
+
+
+@pytest.mark.parametrize(
+    ("angle", "height_m", "distance_m", "returns_m"),
+    [
+        (0, 5.0, 1.0, 60.0),
+        (45, 5.0, 8.0, 8.0),
+        (45, 5.0, 12.0, 60.0),  # beyond RTL_MIN_DIST
+        (45, 1.0, 1.5, 3.0),  # within NAV_ACC_RAD
+        (80, 1.0, 8.0, 4.0),
+        (45, 70.0, 8.0, 70.0),
+    ],
+)
+def test_px4_climbs_less_near_home(angle: int, height_m: float, distance_m: float, returns_m: float) -> None:
+    parameters = {"RTL_RETURN_ALT": 60.0, "RTL_CONE_ANG": angle, "RTL_MIN_DIST": 10.0, "NAV_ACC_RAD": 2.0}
+    found_m = personality("px4", "copter").return_height_m(parameters, height_m, distance_m)
+    assert found_m == pytest.approx(returns_m)
 
 
 def test_loiter_at_the_end_stays_armed_and_active() -> None:

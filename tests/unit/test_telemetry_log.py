@@ -90,3 +90,37 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "logs").write_text("in the way")
     with pytest.raises(MissionError, match="logs: expected a folder"):
         FleetLog(tmp_path / "logs", {1: "a"}, EPOCH_S)
+
+
+TEXTS = ["UNPROVEN mission", "x" * 50, "ein Flug, der nicht bewiesen ist: " * 4, "y" * 100]
+
+
+def test_a_note_stands_in_every_log_at_its_time(tmp_path: Path) -> None:
+    with FleetLog(tmp_path, {1: "a", 2: "b"}, EPOCH_S) as log:
+        log.write(1.0, 1, _frame(1, 1))
+        log.note(2.5, TEXTS[0])
+        log.write(3.0, 2, _frame(2, 2))
+    for name, count in (("a", 2), ("b", 2), ("fleet", 3)):
+        read = read_log(tmp_path / f"{name}.tlog")
+        assert (len(read.records), read.lost_bytes) == (count, 0)
+        [(at_s, note)] = [(t, m) for t, m in read.records if m.get_type() == "STATUSTEXT"]
+        assert (at_s, note.text, note.get_srcSystem()) == (EPOCH_S + 2.5, "UNPROVEN mission", 255)
+        assert note.severity == mavlink.MAV_SEVERITY_WARNING
+
+
+def test_notes_of_any_length_are_shown_by_pymavlink(tmp_path: Path) -> None:
+    with FleetLog(tmp_path, {1: "a"}, EPOCH_S) as log:
+        for k, text in enumerate(TEXTS):
+            log.note(float(k), text)
+    with contextlib.closing(mavutil.mavlink_connection(str(tmp_path / "a.tlog"))) as reader:
+        messages = []
+        while (message := reader.recv_match(type="STATUSTEXT")) is not None:
+            messages.append(message)
+    whole: list[str] = []
+    for message in messages:  # https://mavlink.io/en/messages/common.html#STATUSTEXT
+        if message.id == 0 or message.chunk_seq == 0:
+            whole.append("")
+        whole[-1] += message.text
+    assert whole == TEXTS
+    numbers = [(m.id, m.chunk_seq) for m in messages]
+    assert numbers == [(0, 0), (0, 0), (3, 0), (3, 1), (3, 2), (4, 0), (4, 1), (4, 2)]
