@@ -45,6 +45,7 @@ CHANGE_SPEED = 178
 _AIRSPEED, _GROUND_SPEED = 0.0, 1.0
 _THROTTLE_UNCHANGED = -1.0
 _NAN = bytes.fromhex("0000c07f")
+_KEEPS_ALTITUDE_M = 0.02  # ArduPilot takes an altitude of less than a centimetre for "as high as now"
 _CLIMB_OUT_DEG = 15.0  # least pitch; without it ArduPlane takes 4 degrees
 
 
@@ -122,6 +123,9 @@ def plan_items(vehicle: VehiclePlan, frame: LocalFrame) -> tuple[MissionItem, ..
         x, y = degrees_to_wire(point.lat_deg), degrees_to_wire(point.lon_deg)
         return MissionItem(0, FRAME_GLOBAL, command, param2=param2, param4=unset, x=x, y=y, z=point.alt_amsl_m)
 
+    def through(item: MissionItem) -> MissionItem:
+        return replace(item, z=_KEEPS_ALTITUDE_M) if ardupilot and abs(item.z) < _KEEPS_ALTITUDE_M else item
+
     takeoff = replace(at(TAKEOFF, top_m), param1=_CLIMB_OUT_DEG if plane else 0.0)
     if ardupilot:
         takeoff = replace(takeoff, frame=FRAME_RELATIVE, z=float(top_m[2] - vehicle.home_m[2]))
@@ -138,8 +142,8 @@ def plan_items(vehicle: VehiclePlan, frame: LocalFrame) -> tuple[MissionItem, ..
         *([at(WAYPOINT, vehicle.home_m)] if ardupilot else []),
         takeoff,
         MissionItem(0, FRAME_MISSION, CHANGE_SPEED, speed_type, vehicle.speed_m_s, _THROTTLE_UNCHANGED),
-        *(at(WAYPOINT, waypoint_m, accept_m) for waypoint_m in vehicle.waypoints_m[1:-1]),
-        goal,
+        *(through(at(WAYPOINT, waypoint_m, accept_m)) for waypoint_m in vehicle.waypoints_m[1:-1]),
+        through(goal),
         ending,
     ]
     return tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(items))
