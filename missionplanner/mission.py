@@ -280,6 +280,16 @@ class Motion(Model):
     loiter_radius_m: Positive | None = Field(None, description="planes: WP_LOITER_RAD, NAV_LOITER_RAD")
 
 
+class Energy(Model):
+    """The battery and what flying takes of it: more than ``endurance_s`` says, which it replaces."""
+
+    capacity_wh: Positive = Field(description="usable, of the battery as it is")
+    level_power_w: Positive = Field(
+        description="electric power, in calm air at sea level: copters hovering, planes level at their cruise speed"
+    )
+    mass_kg: Positive = Field(description="as it takes off")
+
+
 class VehicleSettings(Model):
     """What ``defaults`` and every vehicle may set."""
 
@@ -295,7 +305,14 @@ class VehicleSettings(Model):
     safety: Safety = Safety()
     tracking_error_m: NonNegative = Field(2.0, description="how far control and gusts let it stray from its flight")
     position_error_m: NonNegative = Field(1.0, description="how far off its own estimate of its position may be")
-    endurance_s: Positive | None = None
+    endurance_s: Positive | None = Field(
+        None, description="in calm air at sea level: copters hovering, planes level at their cruise speed"
+    )
+    energy: Energy | None = Field(None, description="better than endurance_s where it is known; default: endurance_s")
+    reserve_share: Share = Field(0.2, description="of the battery, left when it is back on the ground")
+    airspeed_max_m_s: Positive | None = Field(
+        None, description="what it makes against the wind; default: the greatest of speed_m_s and its speed home"
+    )
     takeoff_height_m: Positive | None = Field(None, description="climb straight up to this height above home first")
     return_height_m: Positive | None = Field(
         None,
@@ -388,6 +405,7 @@ class Mission(Model):
     )
     vehicles: tuple[Vehicle, ...] = Field(min_length=1, max_length=250)
     fleet: Fleet = Fleet()
+    wind_max_m_s: NonNegative = Field(0.0, description="strongest wind to be expected, from any direction")
     planner: Planner = Planner()
 
     @model_validator(mode="before")
