@@ -40,16 +40,21 @@ from missionplanner.vehicle import VehicleLimits
 ROOM_M = 0.03
 """How much more than is asked for a leg gets: places are rounded to 1e-7 degrees."""
 
-FURTHEST_M = 2000.0
+FURTHEST_M = 1000.0
 """A waypoint that would have to move further is not repaired but another one."""
 
 _ROUNDS = 200
+_TRIFLE_M = 0.15
+_FORGOTTEN = 5  # times
 _SHORTER_M = 0.01  # by which moves must still shrink for another round
 _INSIDE = 0.7  # a nearest way out that runs along the leg this much does not lead out
 _DEFINED = 0.5  # length of a numerical gradient that has a direction
+_BURIED_M = 1.0  # lower than this below what is asked, a leg is lifted before anything else
 _AT_END_M = 2.0  # about how exactly the place of a bound is known
 _STEP_M = 0.01
 _SHIFT_ROUNDS = 200
+_TRIFLE_M = 0.15
+_FORGOTTEN = 5  # times
 _TIE = 1.01  # sides that cost no more than this are equal
 _SPLINE_CHORD_M = 0.05
 _MOVED_M = 1e-6
@@ -115,40 +120,67 @@ def moves_between(before: Sortie, after: Sortie) -> Iterator[Move]:
 
 def _repaired(scene: Scene, flight: Flight) -> Sortie:
     """Return the sortie, moved by as little as was found to be enough."""
-    cheapest = _Sides("cheapest")
-    try:
-        return _moved_until_clear(scene, flight, cheapest)
-    except InfeasibleError:
-        if not cheapest.taken:
-            raise
-        return _moved_until_clear(scene, flight, _Sides("above"))
-
-
-def _moved_until_clear(scene: Scene, flight: Flight, sides: _Sides) -> Sortie:
     handles = _Handles.of(flight.sortie)
-    asked: list[_Want] = []
+    sides = _Sides("cheapest")
+    try:
+        moved = _least_clear(scene, flight, handles, sides)
+    except InfeasibleError:
+        if not sides.taken:
+            raise
+        sides = _Sides("above")
+        moved = _least_clear(scene, flight, handles, sides)
+    trifling = np.abs(moved) < _TRIFLE_M
+    if moved.any() and trifling.any():
+        try:  # without what only comes from not knowing places exactly
+            handles_left = handles.without(trifling)
+            left = _least_clear(scene, flight, handles_left, sides)
+            if _length(left) <= _length(moved) + _TRIFLE_M:
+                handles, moved = handles_left, left
+        except InfeasibleError:
+            pass  # it was needed
+    return handles.sortie(flight.sortie, moved) if moved.any() else flight.sortie
+
+
+def _least_clear(scene: Scene, flight: Flight, handles: _Handles, sides: _Sides) -> FloatArray:
+    """Return the moves (N,) of the handles after which nothing is wanted any more.
+
+    Raises
+    ------
+    InfeasibleError
+        None were found.
+    """
+    seen: dict[tuple[str, int], _Want] = {}
+    forgotten = 0
     kept: dict[tuple[object, ...], _Want] = {}
     moved = np.zeros(handles.count)
     least: FloatArray | None = None
-    for _ in range(_ROUNDS):
+    for attempt in range(_ROUNDS):
         now = _flown(scene, flight, handles.sortie(flight.sortie, moved))
         wants = [want for want in _wants(scene, now, sides) if _matters(want, handles, now)]
         if not wants:
             least = moved if least is None or _length(moved) < _length(least) else least
-        asked = asked or wants
+        for want in wants:
+            seen.setdefault((want.kind, want.seq), replace(want, told="" if attempt else want.told))
         kept = {key: _redrawn(scene, now, want) for key, want in kept.items()}
         kept.update({want.key: want for want in wants})
-        rows = np.array([handles.row(want.weights) for want in kept.values()]).reshape(len(kept), handles.count)
-        short = np.array([want.short_m for want in kept.values()])
-        ahead = least_moves(rows, rows @ moved + short)
-        if ahead is not None and np.abs(ahead).max(initial=0.0) > FURTHEST_M:
-            ahead = None
+        ahead = _ahead(handles, moved, list(kept.values()))
+        if ahead is None and least is None and forgotten < _FORGOTTEN:
+            forgotten += 1  # older wants may stand against what is wanted where the legs are now
+            kept = {want.key: want for want in wants}
+            ahead = _ahead(handles, moved, wants)
         if ahead is None or (least is not None and _length(ahead) > _length(least) - _SHORTER_M):
             break
         moved = ahead
     if least is None:
-        raise _infeasible(now, asked, wants)
-    return handles.sortie(flight.sortie, least) if least.any() else flight.sortie
+        raise _infeasible(flight, list(seen.values()))
+    return least
+
+
+def _ahead(handles: _Handles, moved: FloatArray, wants: Sequence[_Want]) -> FloatArray | None:
+    """Return the least moves that meet wants, as they are after those already ``moved``; None: there are none."""
+    rows = np.array([handles.row(want.weights) for want in wants]).reshape(len(wants), handles.count)
+    ahead = least_moves(rows, rows @ moved + np.array([want.short_m for want in wants]))
+    return None if ahead is None or np.abs(ahead).max(initial=0.0) > FURTHEST_M else ahead
 
 
 def _matters(want: _Want, handles: _Handles, flight: Flight) -> bool:
@@ -166,15 +198,14 @@ def _matters(want: _Want, handles: _Handles, flight: Flight) -> bool:
     raise _infeasible(flight, [want])
 
 
-def _infeasible(flight: Flight, asked: Sequence[_Want], against: Sequence[_Want] = ()) -> InfeasibleError:
-    """Return the error that wants cannot be met, and what others stand against them once they are."""
-    told = ", ".join(dict.fromkeys(f"item {want.seq} {want.told}" for want in asked))
-    known = {(want.kind, want.seq) for want in asked}
-    others = dict.fromkeys(f"{want.kind} at item {want.seq}" for want in against if (want.kind, want.seq) not in known)
-    stands = f" (against it then: {', '.join(others)})" if others else ""
+def _infeasible(flight: Flight, wants: Sequence[_Want]) -> InfeasibleError:
+    """Return the error that wants cannot be met; those without words came up on the way."""
+    told = ", ".join(dict.fromkeys(f"item {want.seq} {want.told}" for want in wants if want.told))
+    others = ", ".join(f"{want.kind} at item {want.seq}" for want in wants if not want.told)
+    against = f" (against it stand {others})" if others else ""
     return InfeasibleError(
-        f"{flight.sortie.name}: {told}: cannot be repaired by moving waypoints{stands}: put others between, "
-        "or plan it again"
+        f"{flight.sortie.name}: {told}: cannot be repaired by moving waypoints{against}: put others between, or plan "
+        "it again"
     )
 
 
@@ -191,7 +222,10 @@ def least_moves(rows: FloatArray, least: FloatArray) -> FloatArray | None:
     system = np.vstack([rows.T, least / scale])
     target = np.zeros(len(system))
     target[-1] = 1.0
-    residual = system @ nnls(system, target, maxiter=30 * len(rows) + 300)[0] - target
+    try:
+        residual = system @ nnls(system, target, maxiter=30 * len(rows) + 300)[0] - target
+    except RuntimeError:  # it found no end: no answer either
+        return None
     if not residual[-1] < -1e-9:
         return None
     vector: FloatArray = -scale * residual[:-1] / residual[-1]
@@ -235,6 +269,11 @@ class _Handles:
                 variable[k, 2] = count
                 count += 1
         return cls(variable, count)
+
+    def without(self, dropped: npt.NDArray[np.bool_]) -> _Handles:
+        """Return the handles but for those dropped (N,): what they moved stays."""
+        number = np.append(np.where(dropped, -1, np.cumsum(~dropped) - 1), -1)
+        return _Handles(number[self.variable], int(np.count_nonzero(~dropped)))
 
     def sortie(self, sortie: Sortie, moved: FloatArray) -> Sortie:
         """Return the sortie with its ends moved by ``moved`` (N,)."""
@@ -299,6 +338,7 @@ def _wants(scene: Scene, flight: Flight, sides: _Sides) -> list[_Want]:
         first = int(np.argmax(owner == index))
         own = slice(first, first + len(tube.pieces))
         spot = _Spot(flight, index, tube.leg.seq, tube.pieces)
+        buried = False
         if tube.over_terrain:
             low = int(np.argmin(table.height_min_m[own]))
             height_m = float(table.height_min_m[own][low])
@@ -306,6 +346,7 @@ def _wants(scene: Scene, flight: Flight, sides: _Sides) -> list[_Want]:
                 share = spot.share(low, table.height_min_at_m[own][low])
                 told = f"terrain clearance is {height_m:.2f} m, expected {limits.terrain_margin_m:g} m"
                 wants.append(spot.want("terrain", share, up, limits.terrain_margin_m - height_m, told))
+                buried = height_m < limits.terrain_margin_m - _BURIED_M
             high = int(np.argmax(table.height_max_m[own]))
             above_m = float(table.height_max_m[own][high])
             if math.isfinite(above_m) and above_m > limits.height_agl_max_m:
@@ -321,7 +362,7 @@ def _wants(scene: Scene, flight: Flight, sides: _Sides) -> list[_Want]:
             wants.append(spot.want("altitude", share, -up, top_m - limits.alt_amsl_max_m, told))
         need_m = limits.obstacle_margin_m
         near = int(np.argmin(table.obstacle_m[own]))
-        if table.obstacle_m[own][near] < need_m:
+        if table.obstacle_m[own][near] < need_m and not buried:  # the way out of an obstacle is another above ground
             name = scene.obstacles.names[int(table.obstacle[own][near])]
             told = f"{name} clearance is {table.obstacle_m[own][near]:.2f} m, expected {need_m:g} m"
             around = _Around(scene, flight, int(table.obstacle[own][near]), need_m + float(wide[first]))
@@ -374,7 +415,7 @@ class _Spot:
         elif sortie.ending == "rtl" and sortie.vehicle_class == "copter" and self.index == len(sortie.legs):
             # it returns as high as it is, unless that is too low
             level = sortie.legs[-1].end_m[2] >= sortie.home_m[2] + sortie.return_height_m
-            weights[-1] = normal * [0.0, 0.0, 1.0 if level else 0.0]
+            weights[-1] = normal * [1.0 - share, 1.0 - share, 1.0 if level else 0.0]
         return weights
 
     def want(
@@ -411,9 +452,14 @@ class _Spot:
         """Return the want to be further from an obstacle, or further inside the fence, than at a place on a piece."""
         kind: _Kind = "fence" if around.obstacle < 0 else "obstacle"
         share = self.share(piece, place)
-        normal = around.outward(place)
-        if normal is None or _leads_nowhere(normal, self.pieces[piece], share):
-            normal, short_m = self._side(around, self.pieces[piece], share, short_m, sides)
+        normal, leg = around.outward(place), self.pieces[piece]
+        if (
+            normal is None
+            or _leads_nowhere(normal, leg, share)
+            or (sides.prefer == "above" and kind == "obstacle")
+            or (normal[2] < 0.0 and around.beyond(leg + short_m * normal)[1] > ROOM_M)
+        ):
+            normal, short_m = self._side(around, leg, share, short_m, sides)
         return self.want(kind, share, normal, short_m, told, around.obstacle, around.need_m)
 
     def _side(
@@ -427,6 +473,7 @@ class _Spot:
             shift_m = around.shift_m(leg, normal) if grip > 0.0 else math.inf
             if math.isfinite(shift_m):
                 shut, lift_m = around.beyond(leg + shift_m * normal)
+                shut |= bool(normal[2] < 0.0 and lift_m > ROOM_M)
                 options.append((shut, math.hypot(shift_m, lift_m) / grip, normal, shift_m))
         if not options:
             return np.zeros(3), short_m
