@@ -343,14 +343,14 @@ def _wants(scene: Scene, flight: Flight, sides: _Sides) -> list[_Want]:
             low = int(np.argmin(table.height_min_m[own]))
             height_m = float(table.height_min_m[own][low])
             if math.isfinite(height_m) and height_m < limits.terrain_margin_m:
-                share = spot.share(low, table.height_min_at_m[own][low])
+                share = spot.share(low, _centre(scene, table.height_min_at_m[own][low], float(wide[first]), 1.0))
                 told = f"terrain clearance is {height_m:.2f} m, expected {limits.terrain_margin_m:g} m"
                 wants.append(spot.want("terrain", share, up, limits.terrain_margin_m - height_m, told))
                 buried = height_m < limits.terrain_margin_m - _BURIED_M
             high = int(np.argmax(table.height_max_m[own]))
             above_m = float(table.height_max_m[own][high])
             if math.isfinite(above_m) and above_m > limits.height_agl_max_m:
-                share = spot.share(high, table.height_max_at_m[own][high])
+                share = spot.share(high, _centre(scene, table.height_max_at_m[own][high], float(wide[first]), -1.0))
                 told = f"reaches {above_m:.2f} m above the ground, allowed {limits.height_agl_max_m:g} m"
                 wants.append(spot.want("ceiling", share, -up, above_m - limits.height_agl_max_m, told))
         tops = tube.pieces[:, :, 2]
@@ -571,6 +571,22 @@ def _alone(scene: Scene, index: int) -> kernels.ObstacleArrays:
     return kernels.ObstacleArrays(
         o.kind[one], o.params[one], o.bound[one], o.hard[one], np.ascontiguousarray(vertices), start
     )
+
+
+def _centre(scene: Scene, place: FloatArray, radius_m: float, sign: float) -> FloatArray:
+    """Return whence a tube reaches a place that is its lowest (sign 1) or highest (-1) above the ground around.
+
+    That is uphill or downhill of where the leg itself is.
+    """
+    x, y, z = place
+    (east, west, north, south) = scene.terrain.height_amsl_m(
+        np.array([x + 1.0, x - 1.0, x, x]), np.array([y, y, y + 1.0, y - 1.0])
+    )
+    slope = 0.5 * np.array([east - west, north - south])
+    if not np.isfinite(slope).all():
+        return place
+    down_m = sign * radius_m / math.sqrt(1.0 + float(slope @ slope))
+    return np.array([x - down_m * slope[0], y - down_m * slope[1], z + down_m])
 
 
 def _too_steep(flight: Flight) -> Iterator[_Want]:

@@ -45,7 +45,7 @@ def ends_of(flown: Sortie) -> FloatArray:
 
 
 def cylinder(x: float, y: float, radius: float, top: float | None) -> dict[str, Any]:
-    height = {} if top is None else {"top_alt_amsl_m": top}
+    height = {} if top is None else {"top_height_agl_m": top}
     return {"kind": "cylinder", "center": at(x, y), "radius_m": radius, **height}
 
 
@@ -61,7 +61,7 @@ def near(low: float, high: float) -> st.SearchStrategy[float]:
 
 obstacles = st.lists(
     st.one_of(
-        st.builds(cylinder, near(80, 900), near(-150, 150), near(1, 30), st.none() | near(110, 190)),
+        st.builds(cylinder, near(80, 900), near(-150, 150), near(1, 30), st.none() | near(5, 90)),
         st.builds(zone, near(150, 800), near(-150, 150), near(10, 60), near(10, 60), near(0, 3)),
     ),
     max_size=3,
