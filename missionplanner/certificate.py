@@ -6,6 +6,7 @@ What could not be decided is not proven; what the mission file waives is told as
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -14,6 +15,7 @@ Position = tuple[float, float, float]
 
 Check = Literal[
     "understood",  # every item's path is known
+    "files",  # mission files hold what the plan holds
     "terrain",
     "obstacle",
     "fence",
@@ -148,6 +150,4 @@ def _leg(leg: LegVerdict) -> dict[str, Any]:
 
 def _rounded(value: float | None) -> float | None:
     """Return a figure to the millimetre; what is not finite is null in JSON."""
-    if value is None or value != value or value in (float("inf"), float("-inf")):
-        return None
-    return round(value, 3)
+    return None if value is None or not math.isfinite(value) else round(value, 3)

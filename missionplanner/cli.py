@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -23,9 +24,12 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from missionplanner.errors import InfeasibleError, LinkError, MissionError, MissionPlannerError
 
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
+    from adapters.certificates import Held
     from adapters.fleet_link import Clock, FleetLink, Order, VehicleStatus
+    from missionplanner.certificate import Certificate
+    from missionplanner.flight_check import FlightCheck
+    from missionplanner.mission import Mission
     from missionplanner.plan import FleetFlight, FleetPlan
-    from missionplanner.proof import FlightCheck
     from missionplanner.scene import Scene
 
 app = typer.Typer(
@@ -48,6 +52,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="print JSON on stdout inste
 Seed = Annotated[int | None, typer.Option("--seed", min=0, help="seed of the search; default: the mission's")]
 Output = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="default: out/NAME of the mission")
+]
+Unproven = Annotated[
+    bool, typer.Option("--unproven", help="send missions although they are not proven; it is told and logged")
 ]
 ConnectUrls = Annotated[str, typer.Option("--connect", metavar="URL[,URL...]", help="links to the vehicles")]
 
@@ -94,7 +101,7 @@ def plan(
     algorithm: Annotated[str | None, typer.Option(help="search algorithm; default: the mission's")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Plan a mission: check it, and write plan.json and the files for ground stations."""
+    """Plan a mission, prove it, and write plan.json, certificate.json and the files for ground stations."""
     scene = _scene(mission, algorithm)
     folder = output or _default_folder(scene)
     fleet_plan = _plan(scene, folder, seed)
@@ -102,11 +109,59 @@ def plan(
 
 
 @app.command()
+def check(
+    targets: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="FOLDER|FILE...", help="a plan folder; or, with --mission, .plan and .waypoints files"),
+    ] = None,
+    mission: Annotated[
+        Path | None, typer.Option(metavar="MISSION", help="mission file that gives terrain, obstacles and vehicles")
+    ] = None,
+    connect: Annotated[
+        str | None, typer.Option(metavar="URL[,URL...]", help="with --mission: check what the vehicles hold")
+    ] = None,
+    repair: Annotated[bool, typer.Option("--repair", help="move waypoints as little as a proof needs")] = False,
+    output: Output = None,
+    as_json: AsJson = False,
+) -> None:
+    """Prove a plan, mission files of any origin, or what vehicles hold; exit code 3 where anything is not proven."""
+    moves: list[dict[str, Any]] = []
+    if mission is None:
+        if not targets or len(targets) != 1 or not targets[0].is_dir():
+            raise MissionError("check: expected one plan folder, or --mission MISSION and the files to check")
+        if connect is not None or repair:
+            raise MissionError(
+                "--connect and --repair: expected with --mission; a plan folder is planned again instead"
+            )
+        certificate, paths = _check_folder(targets[0])
+    elif connect is not None:
+        if targets or repair:
+            raise MissionError("--connect: expected neither files nor --repair; download the missions first")
+        certificate, paths = _check_vehicles(mission, connect, output)
+    elif targets:
+        certificate, paths, moves = _check_files(mission, targets, output, repair=repair)
+    else:
+        raise MissionError("--mission: expected mission files (.plan, .waypoints) or --connect")
+    if as_json:
+        _print_json(certificate.as_json() | {"moved": moves} | {name: str(path) for name, path in paths.items()})
+    else:
+        from missionplanner.summary import certificate_table, moves_table
+
+        if repair:
+            _stdout.print(moves_table(moves))
+        _stdout.print(certificate_table(certificate))
+        for name, path in paths.items():
+            _stdout.print(f"{name}: {path}", soft_wrap=True, highlight=False)
+    if not certificate.proven:
+        raise InfeasibleError(f"not proven: {'; '.join(map(str, certificate.problems))}")
+
+
+@app.command()
 def export(folder: PlanFolder, output: Output = None, as_json: AsJson = False) -> None:
-    """Write .plan, .waypoints, KML and GeoJSON of a plan that is safe (default: FOLDER/files)."""
+    """Write .plan, .waypoints, KML and GeoJSON of a plan that is proven (default: FOLDER/files)."""
     from adapters.export import export_fleet
 
-    _, fleet_plan = _load_safe(folder)
+    _, fleet_plan = _load_proven(folder, unproven=False)
     paths = export_fleet(fleet_plan, output or folder / FILES)
     if as_json:
         _print_json({"files": [str(path) for path in paths]})
@@ -162,12 +217,17 @@ def _home(text: str) -> tuple[float, float, float]:
 
 @app.command()
 def upload(
-    target: Target, connect: ConnectUrls, output: Output = None, seed: Seed = None, as_json: AsJson = False
+    target: Target,
+    connect: ConnectUrls,
+    output: Output = None,
+    seed: Seed = None,
+    unproven: Unproven = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Upload a plan that is safe, read it back and compare; nothing is armed."""
-    scene, fleet_plan, folder = _safe_plan(target, output, seed)
-    with _ground_station(scene, fleet_plan, folder, connect, None) as link:
-        _transfer(link)
+    """Upload a plan that is proven, read it back, prove what the vehicles hold; nothing is armed."""
+    scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
+    with _ground_station(scene, fleet_plan, folder, connect, None, unproven=unproven) as link:
+        _transfer(link, scene, fleet_plan, unproven=unproven)
     if as_json:
         missions = [{"sysid": sysid, "items": len(items), "verified": True} for sysid, items in link.items.items()]
         _print_json({"mission": fleet_plan.mission.name, "folder": str(folder), "vehicles": missions})
@@ -188,24 +248,27 @@ def fly(
     ] = None,
     output: Output = None,
     seed: Seed = None,
+    unproven: Unproven = False,
     as_json: AsJson = False,
 ) -> None:
-    """Plan if need be, upload, verify, start together, fly, and report."""
+    """Plan if need be, upload, prove what the vehicles hold, start together, fly, and report."""
+    from missionplanner.flight_check import check_flight
     from missionplanner.plan_folder import save_flight
-    from missionplanner.proof import check_flight
     from missionplanner.report import write_report
 
     if connect is not None and speedup is not None:
         raise MissionError("--speedup: expected only with built-in simulated vehicles, not with --connect")
-    scene, fleet_plan, folder = _safe_plan(target, output, seed)
-    with _ground_station(scene, fleet_plan, folder, connect, speedup) as link:
-        _transfer(link)
+    scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
+    with _ground_station(scene, fleet_plan, folder, connect, speedup, unproven=unproven) as link:
+        _transfer(link, scene, fleet_plan, unproven=unproven)
         try:
             flight = _start_and_watch(link, fleet_plan, simulated=connect is None)
         finally:
             recorded = link.flight()
             if all(len(vehicle.trajectory.t_s) for vehicle in recorded.vehicles):
-                save_flight(folder, recorded)  # also of a flight that ended badly: then it is wanted most
+                save_flight(
+                    folder, recorded, unproven=unproven
+                )  # also of a flight that ended badly: then it is wanted most
     check = check_flight(scene, fleet_plan, flight)
     with _stderr.status("writing the report"):
         report_path = write_report(folder, scene, fleet_plan, flight)
@@ -217,12 +280,14 @@ def fly(
         raise InfeasibleError(f"{folder}: the flight did not keep every clearance: see {report_path}")
 
 
-def _safe_plan(target: Path, output: Path | None, seed: int | None) -> tuple[Scene, FleetPlan, Path]:
+def _proven_plan(
+    target: Path, output: Path | None, seed: int | None, *, unproven: bool
+) -> tuple[Scene, FleetPlan, Path]:
     """Return scene, plan and folder of a plan folder, or of a mission file, which is planned first."""
     if target.is_dir():
         if output is not None or seed is not None:
             raise MissionError(f"{target}: is a plan already: --output and --seed go with a mission file")
-        return *_load_safe(target), target
+        return *_load_proven(target, unproven=unproven), target
     scene = _scene(target)
     folder = output or _default_folder(scene)
     return scene, _plan(scene, folder, seed), folder
@@ -230,7 +295,7 @@ def _safe_plan(target: Path, output: Path | None, seed: int | None) -> tuple[Sce
 
 @contextmanager
 def _ground_station(
-    scene: Scene, fleet_plan: FleetPlan, folder: Path, connect: str | None, speedup: float | None
+    scene: Scene, fleet_plan: FleetPlan, folder: Path, connect: str | None, speedup: float | None, *, unproven: bool
 ) -> Iterator[FleetLink]:
     """Connect to the fleet's vehicles, or to simulated ones that stand where the plan wants them; log what is said."""
     from adapters.endpoint import open_endpoint
@@ -244,10 +309,7 @@ def _ground_station(
     with ExitStack() as stack:
         clock: Clock
         if connect is not None:
-            urls = [url.strip() for url in connect.split(",") if url.strip()]
-            if not urls:
-                raise MissionError("--connect: expected at least one URL, e.g. udpin:0.0.0.0:14550, got none")
-            endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in urls]
+            endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in _urls(connect)]
             clock = WallClock(endpoints)
         else:
             endpoints = [stack.enter_context(closing(open_endpoint("udpin:127.0.0.1:0")))]
@@ -257,17 +319,37 @@ def _ground_station(
             clock = LockstepClock(fleet, speedup)
         names = {vehicle.sysid: vehicle.name for vehicle in fleet_plan.vehicles}
         log = stack.enter_context(FleetLog(folder / LOGS, names, time.time() - clock.now_s()))
+        if unproven:
+            log.note(clock.now_s(), "UNPROVEN mission sent by order of the operator")
         link = FleetLink(fleet_plan, endpoints, clock, log=log)
         with _stderr.status("looking for the vehicles"):
             link.connect()
         yield link
 
 
-def _transfer(link: FleetLink) -> None:
-    """Upload all missions and read them back."""
+def _urls(connect: str) -> list[str]:
+    urls = [url.strip() for url in connect.split(",") if url.strip()]
+    if not urls:
+        raise MissionError("--connect: expected at least one URL, e.g. udpin:0.0.0.0:14550, got none")
+    return urls
+
+
+def _transfer(link: FleetLink, scene: Scene, fleet_plan: FleetPlan, *, unproven: bool) -> None:
+    """Upload all missions, read them back, prove what the vehicles hold, and set the heights they return at."""
+    from adapters.certificates import certify, held_by_vehicles
+
     with _progress() as progress:
         link.upload(_transfer_bars(progress, "uploading"))
         link.verify(_transfer_bars(progress, "verifying"))
+        certificate = certify(scene, held_by_vehicles(fleet_plan, link.held), arrival_s=fleet_plan.arrival_s)
+        if not certificate.proven and not unproven:
+            raise InfeasibleError(
+                f"what the vehicles hold is not proven: {'; '.join(map(str, certificate.problems))}; nothing was armed"
+            )
+        changes = link.set_returns(_transfer_bars(progress, "setting return of"))
+    for change in changes:
+        told = f"{change.vehicle}: set {change.name} from {change.before:g} to {change.after:g}; it keeps that"
+        print(f"missionplanner: {told}", file=sys.stderr)
 
 
 def _transfer_bars(progress: Progress, what: str) -> Callable[[str, int, int], None]:
@@ -347,6 +429,39 @@ def report(folder: PlanFolder, as_json: AsJson = False) -> None:
 
 
 @app.command()
+def experiment(
+    name: Annotated[Literal["proof"], typer.Argument(metavar="NAME", help="proof: soundness, tightness and speed")],
+    output: Output = None,
+    seed: Annotated[int, typer.Option(min=0)] = 1,
+    quick: Annotated[bool, typer.Option("--quick", help="a small part of it, in half a minute")] = False,
+    mission: Annotated[Path, typer.Option(help="mission file whose terrain is used")] = Path(
+        "missions/san_gabriel.yaml"
+    ),
+    samples: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="proof: also check the .plan and .waypoints files there")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure this software: results, tables and figures go to a folder (default: out/experiment_NAME)."""
+    from missionplanner.experiments import proof
+
+    folder = output or Path("out") / f"experiment_{name}"
+    with _progress() as progress:
+        bars: dict[str, TaskID] = {}
+
+        def show(what: str, done: float) -> None:
+            if what not in bars:
+                bars[what] = progress.add_task(what, total=1.0)
+            progress.update(bars[what], completed=done)
+
+        figures = proof.main(folder, mission=mission, seed=seed, quick=quick, samples=samples, progress=show)
+    if as_json:
+        _print_json(figures)
+    else:
+        _stdout.print((folder / "results.md").read_text(encoding="utf-8"), markup=False, highlight=False)
+
+
+@app.command()
 def schema() -> None:
     """Print the JSON Schema of the mission file."""
     from missionplanner.mission import mission_schema
@@ -354,12 +469,17 @@ def schema() -> None:
     _print_json(mission_schema())
 
 
-def _scene(path: Path, algorithm: str | None = None) -> Scene:
+def _mission(path: Path) -> Mission:
     from missionplanner.mission import load_mission
+
+    return load_mission(path)
+
+
+def _scene(path: Path, algorithm: str | None = None) -> Scene:
     from missionplanner.scene import build_scene
     from missionplanner.search.registry import find_algorithm
 
-    mission = load_mission(path)
+    mission = _mission(path)
     if algorithm is not None:
         find_algorithm(algorithm)
         settings = mission.planner.model_copy(update={"algorithm": algorithm})
@@ -376,10 +496,11 @@ def _default_folder(scene: Scene) -> Path:
 
 
 def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
-    """Plan with progress bars, and write the plan and its files."""
+    """Plan with progress bars, and write the plan, its certificate and its files."""
+    from adapters.certificates import certify_plan
     from adapters.export import export_fleet
     from missionplanner.files import ensure_writable
-    from missionplanner.plan_folder import PLAN_NAME, save_plan
+    from missionplanner.plan_folder import PLAN_NAME, save_certificate, save_plan
     from missionplanner.planner import plan_fleet
     from missionplanner.warmup import begin
 
@@ -400,6 +521,10 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
         fleet_plan = plan_fleet(scene, seed=seed, watch=watch)
     again = (folder / PLAN_NAME).exists()
     save_plan(folder, scene, fleet_plan)
+    certificate = certify_plan(scene, fleet_plan)
+    save_certificate(folder, certificate)
+    if not certificate.proven:  # the planner proved the same, rounded as on the wire: a bug, and never flown
+        raise InfeasibleError(f"{folder}: not proven as exported: {'; '.join(map(str, certificate.problems))}")
     written = set(export_fleet(fleet_plan, folder / FILES))
     for path in (folder / FILES).iterdir():
         if again and path.suffix in {".plan", ".waypoints"} and path not in written:
@@ -407,16 +532,81 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
     return fleet_plan
 
 
-def _load_safe(folder: Path) -> tuple[Scene, FleetPlan]:
-    """Load a plan folder and refuse a plan that does not pass every check."""
-    from missionplanner.plan_folder import load_plan
-    from missionplanner.proof import unsafe
+def _load_proven(folder: Path, *, unproven: bool) -> tuple[Scene, FleetPlan]:
+    """Load a plan folder, prove its missions again, and refuse them unless its certificate covers just these.
+
+    With ``unproven`` they are let through, in red.
+    """
+    from adapters.certificates import certify_plan
+    from missionplanner.plan_folder import load_plan, uncertified
 
     scene, fleet_plan = load_plan(folder)
-    reasons = unsafe(scene, fleet_plan)
-    if reasons:
-        raise InfeasibleError(f"{folder}: not safe to fly: {'; '.join(reasons)}: plan the mission again")
+    problem = uncertified(folder, certify_plan(scene, fleet_plan))
+    if problem is not None and unproven:
+        _stderr.print(f"UNPROVEN: {problem}", style="bold red", soft_wrap=True, highlight=False)
+    elif problem is not None:
+        raise InfeasibleError(f"{folder}: {problem}; nothing was sent")
     return scene, fleet_plan
+
+
+def _check_folder(folder: Path) -> tuple[Certificate, dict[str, Path]]:
+    """Prove a plan folder as it lies there, edited files included, and write its certificate and report."""
+    from adapters.certificates import certify_folder
+    from missionplanner.plan_folder import load_flight, load_plan, save_certificate
+    from missionplanner.report import write_report
+
+    scene, fleet_plan = load_plan(folder)
+    certificate = certify_folder(scene, fleet_plan, folder / FILES)
+    path = save_certificate(folder, certificate)
+    shown = replace(fleet_plan, certificate=certificate)
+    report_path = write_report(folder, scene, shown, load_flight(folder, fleet_plan))
+    return certificate, {"certificate": path, "report": report_path}
+
+
+def _check_files(
+    mission: Path, files: Sequence[Path], output: Path | None, *, repair: bool
+) -> tuple[Certificate, dict[str, Path], list[dict[str, Any]]]:
+    """Prove mission files of any origin over a mission's terrain and obstacles; repaired copies go to a folder."""
+    from adapters.certificates import certify, read_files
+    from adapters.repaired_files import repaired
+
+    scene, missions = read_files(_mission(mission), mission.parent, files)
+    folder = output or Path("out") / f"check_{scene.mission.name}"
+    moves: list[dict[str, Any]] = []
+    if repair:
+        missions, moved = repaired(scene, missions, folder)
+        moves = [row.as_json() for row in moved]
+    certificate = certify(scene, missions)
+    return certificate, _write_check(folder, scene, missions, certificate), moves
+
+
+def _check_vehicles(mission: Path, connect: str, output: Path | None) -> tuple[Certificate, dict[str, Path]]:
+    """Prove what vehicles hold."""
+    from adapters.certificates import certify, read_vehicles
+    from adapters.endpoint import open_endpoint
+    from adapters.fleet_link import WallClock, download_missions
+
+    question = _mission(mission)
+    with ExitStack() as stack:
+        endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in _urls(connect)]
+        sysids = [vehicle.sysid or index for index, vehicle in enumerate(question.vehicles, start=1)]
+        with _stderr.status("reading the vehicles' missions"):
+            downloaded = download_missions(endpoints, WallClock(endpoints), expected=sysids)
+    scene, missions = read_vehicles(question, mission.parent, downloaded)
+    certificate = certify(scene, missions)
+    folder = output or Path("out") / f"check_{scene.mission.name}"
+    return certificate, _write_check(folder, scene, missions, certificate)
+
+
+def _write_check(folder: Path, scene: Scene, missions: Sequence[Held], certificate: Certificate) -> dict[str, Path]:
+    from adapters.certificates import sortie
+    from missionplanner.files import ensure_writable
+    from missionplanner.plan_folder import save_certificate
+    from missionplanner.report import write_check_report
+
+    ensure_writable(folder)
+    page = write_check_report(folder, scene, certificate, [sortie(scene, held) for held in missions])
+    return {"certificate": save_certificate(folder, certificate), "report": page}
 
 
 def _show(

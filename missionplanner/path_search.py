@@ -3,8 +3,8 @@
 A guess is a clear polyline. It becomes a C2 cubic spline that hugs it, the closer the nearer its control points stand
 to the corners. Of all guesses, one per homotopy class, the cheapest curve is taken, and the search bends it: it moves a
 few handles between the route's points, and the curve follows as a second, wider spline of their offsets. So the search
-starts from a clear path and can only improve on it. A curve counts only when every piece of it, every leg fitted to it,
-and the curve flown along those legs are clear by the vehicle's whole margin; if not, the next attempt hugs closer.
+starts from a clear path and can only improve on it. A curve counts only when every leg fitted to it is proven clear
+with its whole tube, a plane's predicted flight likewise; if not, the next attempt hugs closer and keeps further off.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from missionplanner.clearance import Margins, legs_clear, legs_within_angles, polyline_legs
+from missionplanner.clearance import Margins, legs_clear, legs_within_angles, polyline_legs, tubes_clear
 from missionplanner.cost import Price
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
@@ -28,9 +28,13 @@ from missionplanner.scene import VehicleTask
 from missionplanner.search.base import SearchResult
 from missionplanner.search.run import minimise
 from missionplanner.seeds import first_guesses
+from missionplanner.terrain_bounds import Pyramid
 from missionplanner.waypoints import fit_waypoints
 
-_ATTEMPTS = 5
+_EXTRA_M = (0.0, 1.0, 2.0, 4.0, 7.0)
+"""How much wider the margins are in each attempt: beside steep ground, a tube needs more height than straight below."""
+_WIRE_M = 0.02
+"""What rounding to 1e-7 degrees and single precision moves a waypoint at most."""
 _GUESSES_PER_SECTION = 2
 _SAMPLES = 200
 """On an evenly sampled path, beyond which the way is long enough for coarser steps; corners get more."""
@@ -87,12 +91,14 @@ class _Family:
 def find_path(
     task: VehicleTask,
     space: SpaceArrays,
+    bounds: Pyramid,
     names: tuple[str, ...],
     price_of: Callable[[float], Price],
     settings: Planner,
     rng: np.random.Generator,
     flown_is_clear: Callable[[FloatArray], bool],
     on_iteration: Callable[[float], None] | None = None,
+    wider_m: float = 0.0,
 ) -> PlannedPath:
     """Return a clear, flyable, short and smooth path for one vehicle.
 
@@ -103,20 +109,21 @@ def find_path(
     price_of
         The price of curves when all margins are tighter by the metres given.
     flown_is_clear
-        Whether the curve that the autopilot flies along waypoints (W, 3), corners cut, is clear.
+        Whether the flight that is predicted along waypoints (W, 3) is clear and turns no tighter than it may.
     on_iteration
         Told the share of the search that is done.
+    wider_m
+        How much more than the margins is to be kept.
 
     Raises
     ------
     InfeasibleError
         No clear path was found; the message names the vehicle and what blocks it.
     """
-    corner_m = 0.2 * task.motion.waypoint_radius_m
     gentleness = 1.0
-    for attempt in range(_ATTEMPTS):
-        # the fitted legs may leave the curve by the tolerance and the vehicle cuts its corners: room for both
-        extra_m = settings.waypoint_tolerance_m + corner_m * (1 + attempt)
+    for attempt, more_m in enumerate(_EXTRA_M):
+        # the fitted legs may leave the curve by the tolerance
+        extra_m = settings.waypoint_tolerance_m + wider_m + more_m
         try:
             sections = _guess_sections(task, space, names, extra_m, gentleness)
         except InfeasibleError:
@@ -129,7 +136,9 @@ def find_path(
         result = _search(family, price, settings, rng, on_iteration if attempt == 0 else None)
         settled = _settled(family, result.best, price)
         for path_m in np.round(family.paths(np.stack([settled, result.best, family.guess])), 3):
-            waypoints = _flyable_legs(path_m, family.stops, task, space, settings.waypoint_tolerance_m)
+            waypoints = _flyable_legs(
+                path_m, family.stops, task, space, bounds, settings.waypoint_tolerance_m, wider_m + _WIRE_M
+            )
             if waypoints is not None and flown_is_clear(waypoints):
                 return PlannedPath(
                     path_m=path_m,
@@ -143,7 +152,7 @@ def find_path(
         if not legs_within_angles(task.limits, polyline_legs(family.base_m), _ANGLE_SLACK_RAD).all():
             gentleness *= _GENTLER  # a curve cuts the bends of a climb that winds up, and gets steeper there
     raise InfeasibleError(
-        f"{task.name}: found no path that stays clear by its whole margin, corners included, in {_ATTEMPTS} attempts: "
+        f"{task.name}: found no path that is proven clear with its whole tube in {len(_EXTRA_M)} attempts: "
         "widen the gaps, reduce its safety distances, or move its stops"
     )
 
@@ -196,9 +205,15 @@ def _settled(family: _Family, x: FloatArray, price: Price) -> FloatArray:
 
 
 def _flyable_legs(
-    path_m: FloatArray, stops: npt.NDArray[np.intp], task: VehicleTask, space: SpaceArrays, tolerance_m: float
+    path_m: FloatArray,
+    stops: npt.NDArray[np.intp],
+    task: VehicleTask,
+    space: SpaceArrays,
+    bounds: Pyramid,
+    tolerance_m: float,
+    wider_m: float,
 ) -> FloatArray | None:
-    """Return waypoints when the curve and the legs fitted to it are clear, else None."""
+    """Return waypoints when the curve is clear and the legs fitted to it are proven, else None."""
     limits, margins = task.limits, Margins.of(task.limits)
     if not legs_clear(space, margins, polyline_legs(path_m)).all():
         return None
@@ -208,7 +223,7 @@ def _flyable_legs(
         path_m,
         stops,
         tolerance_m,
-        lambda legs: legs_clear(space, margins, legs) & legs_within_angles(limits, legs, 1e-6),
+        lambda legs: legs_within_angles(limits, legs, 1e-6) & tubes_clear(space, bounds, limits, legs, wider_m),
     )
 
 

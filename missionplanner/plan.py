@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from missionplanner.certificate import Certificate
 from missionplanner.geodesy import FloatArray, LocalFrame
 from missionplanner.mission import Mission
 from missionplanner.vehicle import Autopilot, Ending, MotionModel, VehicleClass
@@ -29,12 +30,15 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True)
 class Clearance:
-    """The least distance of a path to one kind of thing: how much, to what, and where."""
+    """The least distance kept to one kind of thing: how much, to what, and where.
 
-    distance_m: float  # to the thing itself; for terrain: height above the ground below
+    Of a plan, what its whole tube keeps at least, by proof; between vehicles, the distance of predicted flights.
+    """
+
+    distance_m: float  # to the thing itself; for terrain: height above the ground
     required_m: float
     what: str  # "terrain", an obstacle's or a vehicle's name, "fence"
-    position_m: tuple[float, float, float]  # on the path
+    position_m: tuple[float, float, float]  # on the path; for a plan's terrain, in its tube
     t_s: float | None = None  # for fellows: when
 
     @property
@@ -86,6 +90,7 @@ class FleetPlan:
     seed: int
     software_version: str
     input_sha256: str  # of the mission and its terrain
+    certificate: Certificate | None = None  # of the missions as planned; None: nothing is proven yet
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from missionplanner import planner, proof
+from missionplanner.certificate import Certificate
 from missionplanner.errors import MissionError
 from missionplanner.files import ensure_writable, write_atomic
 from missionplanner.geodesy import FloatArray, LocalFrame
@@ -31,9 +32,12 @@ from missionplanner.timing import SPEED_STEP_M_S
 
 PLAN_NAME = "plan.json"
 FLIGHT_NAME = "flight.json"
+CERTIFICATE_NAME = "certificate.json"
 FORMAT = "missionplanner-plan"
 FLIGHT_FORMAT = "missionplanner-flight"
-VERSION = 1
+CERTIFICATE_FORMAT = "missionplanner-certificate"
+VERSION = 2
+FLIGHT_VERSION = 1
 
 Coordinate = Annotated[float, Field(ge=-2e5, le=2e5)]
 """Further from the origin, a number is a slip; and predicting a flight there would take days."""
@@ -58,6 +62,7 @@ class _VehicleRecord(_Record):
     waypoints: tuple[_WaypointRecord, ...] = Field(min_length=2)
     speed_m_s: Annotated[float, Field(gt=0)]
     start_delay_s: Annotated[float, Field(ge=0)]
+    return_height_m: Annotated[float, Field(gt=0)]
     window_s: tuple[float, float]
     cost: float
     cost_terms: dict[str, float]
@@ -83,12 +88,21 @@ class _FlownRecord(_Record):
 class _FlightRecord(_Record):
     format: Literal["missionplanner-flight"]
     version: Literal[1]
+    unproven: bool = False
     vehicles: tuple[_FlownRecord, ...]
+
+
+class _CertificateRecord(_Record):
+    format: Literal["missionplanner-certificate"]
+    version: Literal[1]
+    proven: bool
+    input_sha256: str
+    mission_sha256: dict[str, str]
 
 
 class _PlanRecord(_Record):
     format: Literal["missionplanner-plan"]
-    version: Literal[1]
+    version: Literal[2]
     software_version: str
     seed: Annotated[int, Field(ge=0)]
     input_sha256: str
@@ -100,7 +114,7 @@ class _PlanRecord(_Record):
 def save_plan(folder: Path, scene: Scene, plan: FleetPlan) -> Path:
     """Write the plan and return the path of its ``plan.json``; the same plan gives the same bytes.
 
-    A flight that was recorded of an earlier plan in this folder is removed.
+    The flight and the certificate of an earlier plan in this folder are removed.
 
     Raises
     ------
@@ -122,7 +136,8 @@ def save_plan(folder: Path, scene: Scene, plan: FleetPlan) -> Path:
         "mission": mission.model_dump(mode="json", by_alias=True, exclude_unset=True),
     }
     ensure_writable(folder)
-    (folder / FLIGHT_NAME).unlink(missing_ok=True)
+    for stale in (FLIGHT_NAME, CERTIFICATE_NAME):
+        (folder / stale).unlink(missing_ok=True)
     path = folder / PLAN_NAME
     write_atomic(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
     return path
@@ -153,16 +168,18 @@ def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
         if problem is not None:
             raise MissionError(f"{path}: {task.name}: expected {problem}: plan the mission again")
     paths = [_path(vehicle) for vehicle in record.vehicles]
+    scene = planner.returning_at(scene, {v.name: v.return_height_m for v in record.vehicles})
     schedules = [Schedule(v.start_delay_s, v.speed_m_s, v.window_s) for v in record.vehicles]
     plan = planner.assemble(scene, paths, schedules, record.arrival_s, record.seed)
     return scene, proof.checked(scene, replace(plan, software_version=record.software_version))
 
 
-def save_flight(folder: Path, flight: FleetFlight) -> Path:
-    """Write the recorded flight beside the plan and return its path."""
+def save_flight(folder: Path, flight: FleetFlight, *, unproven: bool = False) -> Path:
+    """Write the recorded flight beside the plan and return its path; ``unproven``: it was flown without a proof."""
     document = {
         "format": FLIGHT_FORMAT,
-        "version": VERSION,
+        "version": FLIGHT_VERSION,
+        "unproven": unproven,
         "vehicles": [
             {
                 "name": vehicle.name,
@@ -202,6 +219,41 @@ def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
             for v in record.vehicles
         )
     )
+
+
+def save_certificate(folder: Path, certificate: Certificate) -> Path:
+    """Write a certificate beside its plan and return its path.
+
+    Raises
+    ------
+    MissionError
+        The folder cannot be written to.
+    """
+    document = {"format": CERTIFICATE_FORMAT, "version": FLIGHT_VERSION, **certificate.as_json()}
+    path = folder / CERTIFICATE_NAME
+    write_atomic(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
+    return path
+
+
+def uncertified(folder: Path, fresh: Certificate) -> str | None:
+    """Return why a plan folder's certificate does not cover the missions that were ``fresh``-ly proven; None: it does.
+
+    A certificate file is never believed alone: the same missions must have been proven again.
+    """
+    path = folder / CERTIFICATE_NAME
+    if not path.exists():
+        return f"there is no {path}: check the plan"
+    try:
+        stored = _read(path, _CertificateRecord, "check the plan again")
+    except MissionError as error:
+        return str(error)
+    if stored.input_sha256 != fresh.input_sha256:
+        return f"{path} is of another mission file or terrain: check the plan again"
+    if stored.mission_sha256 != dict(fresh.mission_sha256):
+        return f"{path} is of other missions than those that would be sent: check the plan again"
+    if not (stored.proven and fresh.proven):
+        return f"not proven: {'; '.join(str(f) for f in fresh.problems) or f'{path} says so: check the plan again'}"
+    return None
 
 
 _AnyRecord = TypeVar("_AnyRecord", bound=_Record)
@@ -275,6 +327,7 @@ def _vehicle(vehicle: VehiclePlan, frame: LocalFrame) -> dict[str, Any]:
         "end": vehicle.end,
         "speed_m_s": vehicle.speed_m_s,
         "start_delay_s": vehicle.start_delay_s,
+        "return_height_m": vehicle.motion.return_height_m,
         "window_s": list(vehicle.window_s),
         "arrival_s": vehicle.arrival_s,
         "landed_s": float(vehicle.trajectory.t_s[-1]),

@@ -2,20 +2,22 @@
 
 Vehicles are planned one after the other, each pricing the ways of those before it; then all are timed together
 (PAPER.md eq. 10) and their predicted flights held against each other (eq. 9). Whoever comes too close is planned again
-around the other's flight, or starts later. What is returned has passed every check of :mod:`.proof`; else nothing is.
+around the other's flight, or starts later. Then the heights at which they return are chosen, and all of it is proven
+(:mod:`.proof`); who is not proven is planned again with more room. What is returned has a certificate; else nothing is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 
-from missionplanner import __version__, obstacles, proof, timing
-from missionplanner.clearance import Margins, distance_to_legs_m, polyline_legs
+from missionplanner import __version__, obstacles, proof, returns, timing
+from missionplanner.certificate import Finding
+from missionplanner.clearance import Margins, distance_to_legs_m, polyline_legs, tubes_clear
 from missionplanner.cost import Price
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
@@ -33,6 +35,9 @@ _ROUNDS = 24
 _AVOID_S = 20.0
 """How long before and after a conflict the other's flight is kept clear of."""
 _DELAY_S = 15.0
+_PROOFS = 4
+_ROOM_M = 1.0
+"""How much further off a vehicle is planned again that was not proven, beyond what it lacked."""
 _ROUTE_ROOM_M = 5.0
 """What the way around another's flight leaves of room at the route's own points, beyond the margin."""
 
@@ -65,49 +70,146 @@ def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = N
         together.
     """
     seed = scene.mission.planner.seed if seed is None else seed
-    generators = np.random.default_rng(seed).spawn(len(scene.tasks))
-    paths: list[PlannedPath] = []
-    for index, task in enumerate(scene.tasks):
-        paths.append(_path(scene, [], task, paths, generators[index], watch))
+    team = _Team(scene, seed, watch)
+    problems: tuple[Finding, ...] = ()
+    for _ in range(_PROOFS):
+        plan = proof.checked(*team.apart())
+        assert plan.certificate is not None
+        problems = plan.certificate.problems
+        if not problems:
+            return plan
+        if not team.give_room(problems):
+            break
+    raise InfeasibleError(f"not proven: {'; '.join(map(str, problems))}")
 
-    delays_s = [index * scene.mission.fleet.launch_interval_s for index in range(len(paths))]
-    avoided: list[list[CableSolid]] = [[] for _ in paths]
-    conflict: Conflict | None = None
-    for round_ in range(_ROUNDS):
-        try:
-            schedules, arrival_s = schedule(scene, paths, delays_s)
-        except InfeasibleError:
+
+class _Team:
+    """The vehicles' paths while a plan is looked for, and what each has learned to keep clear of."""
+
+    def __init__(self, scene: Scene, seed: int, watch: Watch | None) -> None:
+        self._scene = scene
+        self._seed = seed
+        self._watch = watch
+        self._generators = np.random.default_rng(seed).spawn(len(scene.tasks))
+        self._wider_m = [0.0] * len(scene.tasks)
+        self._avoided: list[list[CableSolid]] = [[] for _ in scene.tasks]
+        self._delays_s = [index * scene.mission.fleet.launch_interval_s for index in range(len(scene.tasks))]
+        self._paths: list[PlannedPath] = []
+        for index in range(len(scene.tasks)):
+            self._paths.append(self._path(index, [], self._paths))
+
+    def _path(self, index: int, avoided: Sequence[CableSolid], fellows: Sequence[PlannedPath]) -> PlannedPath:
+        task = self._scene.tasks[index]
+        rng, wider_m = self._generators[index], self._wider_m[index]
+        return _path(self._scene, avoided, task, fellows, rng, self._watch, wider_m)
+
+    def _fellows(self, index: int) -> list[PlannedPath]:
+        return [path for k, path in enumerate(self._paths) if k != index]
+
+    def apart(self) -> tuple[Scene, FleetPlan]:
+        """Return a plan in which all keep apart, and the scene with the heights at which they return.
+
+        Raises
+        ------
+        InfeasibleError
+            They cannot arrive together, or not apart, or not return.
+        """
+        scene = self._scene
+        conflict: Conflict | None = None
+        for round_ in range(_ROUNDS):
+            try:
+                schedules, arrival_s = schedule(scene, self._paths, self._delays_s)
+            except InfeasibleError:
+                if conflict is None:
+                    raise
+                break  # what would part them keeps them from arriving together
+            plan = assemble(scene, self._paths, schedules, arrival_s, self._seed)
+            conflict = proof.worst_conflict(scene, plan)
             if conflict is None:
-                raise
-            break  # what would part them keeps them from arriving together
-        plan = assemble(scene, paths, schedules, arrival_s, seed)
-        conflict = proof.worst_conflict(scene, plan)
-        if conflict is None:
-            checked = proof.checked(scene, plan)
-            reasons = proof.unsafe(scene, checked)
-            if reasons:
-                raise InfeasibleError("; ".join(reasons))
-            return checked
-        # the later one gives way; when that has not parted them, the other
+                returned = with_return_heights(scene, plan)
+                plan = assemble(returned, self._paths, schedules, arrival_s, self._seed)
+                conflict = proof.worst_conflict(returned, plan)  # who returns at its end now does so at its own height
+            if conflict is None:
+                return returned, plan
+            if not self._part(conflict, plan, round_) and not self._delay(conflict, arrival_s):
+                break
+        raise InfeasibleError(
+            f"{conflict}, and no new plan parted them: move their starts, goals or stops apart, set "
+            "fleet.launch_interval_s, or lower fleet.separation_m"
+        )
+
+    def _part(self, conflict: Conflict, plan: FleetPlan, round_: int) -> bool:
+        """Plan one of two again around the other's flight: the later one, when that has not parted them the other."""
         for index in (conflict.second, conflict.first) if round_ % 2 == 0 else (conflict.first, conflict.second):
             other = plan.vehicles[conflict.first if index == conflict.second else conflict.second]
-            flight = _flight_around(other, conflict, scene.tasks[index])
-            solids = [*avoided[index], *flight]
-            fellows = [path for k, path in enumerate(paths) if k != index]
+            flight = _flight_around(other, conflict, self._scene.tasks[index])
             try:
-                paths[index] = _path(scene, solids, scene.tasks[index], fellows, generators[index], watch)
+                self._paths[index] = self._path(index, [*self._avoided[index], *flight], self._fellows(index))
             except InfeasibleError:
                 continue
-            avoided[index] += flight
-            break
-        else:
-            if arrival_s is not None and conflict.t_s > 0.5 * arrival_s:
-                break  # who starts later and arrives at the same time is in the same place by then
-            delays_s[conflict.second] += _DELAY_S
-    raise InfeasibleError(
-        f"{conflict}, and no new plan parted them: move their starts, goals or stops apart, set "
-        "fleet.launch_interval_s, or lower fleet.separation_m"
+            self._avoided[index] += flight
+            return True
+        return False
+
+    def _delay(self, conflict: Conflict, arrival_s: float | None) -> bool:
+        if arrival_s is not None and conflict.t_s > 0.5 * arrival_s:
+            return False  # who starts later and arrives at the same time is in the same place by then
+        self._delays_s[conflict.second] += _DELAY_S
+        return True
+
+    def give_room(self, problems: Sequence[Finding]) -> bool:
+        """Plan those again, further off, whose own way is not proven; False where that cannot help."""
+        names = [task.name for task in self._scene.tasks]
+        helped = [f for f in problems if f.check in ("terrain", "obstacle", "fence", "ceiling", "turn", "angle")]
+        for index in {names.index(f.vehicle) for f in helped}:
+            short_m = [f.required - f.value for f in helped if f.vehicle == names[index] and f.value and f.required]
+            self._wider_m[index] += _ROOM_M + max([0.0, *(m for m in short_m if m < np.inf)])
+            try:
+                self._paths[index] = self._path(index, self._avoided[index], self._fellows(index))
+            except InfeasibleError:
+                return False
+        return len(helped) == len(problems)
+
+
+def with_return_heights(scene: Scene, plan: FleetPlan) -> Scene:
+    """Return the scene with the least heights at which all of a plan's vehicles return clear of all, and apart.
+
+    Raises
+    ------
+    InfeasibleError
+        There are none.
+    """
+    flights = proof.predict(scene, [proof.planned_sortie(scene, vehicle) for vehicle in plan.vehicles])
+    waived = scene.mission.fleet.direct_return == "waived"
+    vehicles = [proof.returning(flight) for flight in flights]
+    if waived:  # only those return that are to return at their goals
+        vehicles = [
+            replace(v, airborne_s=v.descends_s) for v, p in zip(vehicles, plan.vehicles, strict=True) if p.end == "rtl"
+        ]
+    settings = {vehicle.name: vehicle.return_height_m for vehicle in scene.mission.vehicles}
+    tasks = {task.name: task for task in scene.tasks}
+
+    def apart_m(i: int, j: int) -> float:
+        return proof.required_apart_m(scene, tasks[vehicles[i].name], tasks[vehicles[j].name])
+
+    heights_m = returns.choose_return_heights(
+        scene.space,
+        scene.terrain.bounds,
+        scene.obstacles.names,
+        vehicles,
+        apart_m,
+        [settings[v.name] for v in vehicles],
     )
+    return returning_at(scene, {v.name: height_m for v, height_m in zip(vehicles, heights_m, strict=True)})
+
+
+def returning_at(scene: Scene, height_m: Mapping[str, float]) -> Scene:
+    """Return the scene with vehicles, by name, that return at these heights above home."""
+    tasks = [
+        replace(task, motion=replace(task.motion, return_height_m=height_m.get(task.name, task.motion.return_height_m)))
+        for task in scene.tasks
+    ]
+    return replace(scene, tasks=tuple(tasks))
 
 
 def schedule(
@@ -183,6 +285,7 @@ def assemble(
         seed=seed,
         software_version=__version__,
         input_sha256=scene.input_sha256,
+        certificate=None,
     )
 
 
@@ -229,6 +332,7 @@ def _path(
     fellows: Sequence[PlannedPath],
     rng: np.random.Generator,
     watch: Watch | None,
+    wider_m: float,
 ) -> PlannedPath:
     """Return one vehicle's path around all that stands still and what is to be ``avoided``.
 
@@ -237,11 +341,9 @@ def _path(
     space = _with(scene.space, avoided)
     names = (*scene.obstacles.names, *(solid.name for solid in avoided))
     fellows_m = np.stack([evenly(f.path_m, _FELLOW_INSTANTS) for f in fellows]) if fellows else None
-    margins = Margins.of(task.limits)
     unvisited = _unvisited(scene)
-    # what the check asks for, and a little more: the price knows the fellows' timing only roughly
-    error_m = max(other.limits.tracking_error_m for other in scene.tasks)
-    separation_m = scene.mission.fleet.separation_m + task.limits.tracking_error_m + error_m + _FELLOW_SLACK_M
+    # what the proof asks for, and a little more: the price knows the fellows' timing only roughly
+    separation_m = max(proof.required_apart_m(scene, task, other) for other in scene.tasks) + _FELLOW_SLACK_M
 
     def price_of(extra_m: float) -> Price:
         return Price(
@@ -255,23 +357,36 @@ def _path(
             clearance_extra_m=extra_m,
         )
 
-    # a plane's turns are wider the faster it flies, and what it cuts and overshoots at each speed differs
+    # a plane is held to its predicted flight: its turns are wider the faster it flies, what it cuts differs
     plane = task.motion.vehicle_class == "plane"
-    speeds_m_s = [task.limits.speed_max_m_s, *([task.limits.speed_min_m_s] if plane else [])]
+    speeds_m_s = [task.limits.speed_max_m_s, task.limits.speed_min_m_s]
     ground_amsl_m = _goal_ground(scene, task)
 
     def flown_is_clear(waypoints_m: FloatArray) -> bool:
-        for speed_m_s in speeds_m_s:
+        if not proof.turns_allowed(task, waypoints_m):
+            return False
+        for speed_m_s in speeds_m_s if plane else ():
             trajectory, reached_s = timing.predict_flight(
                 task.motion, task.home_m, waypoints_m, speed_m_s, end=task.end, ground_amsl_m=ground_amsl_m
             )
-            airborne = proof.airborne_part(trajectory, float(reached_s[0]))
-            if not proof.all_clear(space, margins, proof.curve_legs(airborne)):
+            flown = proof.chords(trajectory, float(reached_s[0]))
+            if not tubes_clear(space, scene.terrain.bounds, task.limits, flown, proof.CHORD_ERROR_M + wider_m).all():
                 return False
         return True
 
     on_iteration = None if watch is None else lambda done: watch(task.name, done)
-    return find_path(task, space, names, price_of, scene.mission.planner, rng, flown_is_clear, on_iteration)
+    return find_path(
+        task,
+        space,
+        scene.terrain.bounds,
+        names,
+        price_of,
+        scene.mission.planner,
+        rng,
+        flown_is_clear,
+        on_iteration,
+        wider_m,
+    )
 
 
 def _unvisited(scene: Scene) -> Towers | None:

@@ -1,35 +1,795 @@
-"""What is checked of a plan before it may be flown, and of a flight afterwards.
+"""The certificate: what is proven of a fleet's missions before they may be flown.
 
-The legs that are uploaded and the curve that the autopilot is predicted to fly along them (corners cut) must both keep
-every margin. Distances to obstacles and fence are lower bounds for the whole continuous path; heights above ground are
-sampled every 0.1 m of the interpolated elevation model. Missing terrain counts as no clearance at all.
+The object of the proof is what the vehicles are to hold, as :class:`.Sortie`, read back from the exported missions.
+Each flight stays within a tube: around its legs for copters, around the predicted flight for planes, whose radius is
+stated (:class:`.VehicleLimits`). Every check is a bound for the whole continuous tube, never a sample of it. What
+cannot be decided is not proven, and missing terrain is no clearance.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+import numpy.typing as npt
 
-from missionplanner import kernels, timing
-from missionplanner.clearance import Margins, distance_to_legs_m, legs_clear, legs_within_angles, polyline_legs
+from missionplanner import __version__, energy, returns, timing
+from missionplanner.certificate import Certificate, Check, Finding, LegVerdict, Position
+from missionplanner.clearance import TubeClearances, distance_to_legs_m, polyline_legs, tube_clearances
+from missionplanner.flight_check import nearest_pair
 from missionplanner.geodesy import FloatArray
-from missionplanner.kernels import SpaceArrays
-from missionplanner.plan import Clearance, FleetFlight, FleetPlan, Trajectory, VehiclePlan
+from missionplanner.motion.spline import spline_chords
+from missionplanner.plan import Clearance, FleetPlan, Trajectory, VehiclePlan
+from missionplanner.returns import Returning
 from missionplanner.scene import Scene, VehicleTask
+from missionplanner.sortie import Leg, Sortie
+from missionplanner.terrain_bounds import steepest
 
-TERRAIN_STEP_M = 0.1
-_TICKS_PER_CHORD = 4
 ARRIVAL_ERROR_MAX_S = 0.5
 """How far a predicted arrival may be from the common one."""
 
-_ANGLE_SLACK_RAD = 1e-5
-_COLUMN_M = 2.5
-"""Horizontal distance from the pad within which a path counts as a vertical take-off or landing.
+LATENESS_LIMIT_S = 60.0
+"""Lateness up to which it is asked whether all still keep apart."""
 
-PX4 begins to sink as soon as it is within the goal's radius, 2 m by default, and drifts to its middle meanwhile.
-"""
+_SPLINE_CHORD_M = 0.05
+_CHORD_TICKS = 4
+CHORD_ERROR_M = 0.02
+"""Chords of 0.2 s of a predicted flight are at most so far off it at 4 m/s^2."""
+_ANGLE_SLACK_RAD = 1e-5
+_SPEED_SLACK_M_S = 1e-3  # single precision on the wire
+_CIRCLED_M = 25.0  # beyond its circle, where a plane that returns may turn onto it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flight:
+    """A sortie with its vehicle's limits and its predicted flight; not ``timed`` where the model does not know how."""
+
+    task: VehicleTask
+    sortie: Sortie
+    trajectory: Trajectory
+    reached_s: FloatArray  # (L,) at the ends of the legs
+    timed: bool
+
+    @property
+    def descends_s(self) -> float:
+        """When it leaves its mission's altitude for good."""
+        return float(self.reached_s[-1])
+
+
+def prove(
+    scene: Scene,
+    sorties: Sequence[Sortie],
+    *,
+    mission_sha256: Mapping[str, str] | None = None,
+    arrival_s: float | None = None,
+) -> Certificate:
+    """Return what is proven of sorties, of vehicles that the scene knows by name.
+
+    Parameters
+    ----------
+    mission_sha256 : hashes of the missions that the sorties were read from, by vehicle's name
+    arrival_s : the planned common arrival; None: no arrival is asked about
+    """
+    return prove_flights(scene, predict(scene, sorties), mission_sha256=mission_sha256, arrival_s=arrival_s)
+
+
+def predict(scene: Scene, sorties: Sequence[Sortie]) -> list[Flight]:
+    """Return sorties with their predicted flights; planes circle until the last vehicle is down."""
+    tasks = {task.name: task for task in scene.tasks}
+    flights = [_predicted(scene, tasks[sortie.name], sortie) for sortie in sorties]
+    last_s = max(float(flight.trajectory.t_s[-1]) for flight in flights)
+    return [_predicted(scene, f.task, f.sortie, last_s) if f.sortie.vehicle_class == "plane" else f for f in flights]
+
+
+def prove_flights(
+    scene: Scene,
+    flights: Sequence[Flight],
+    *,
+    mission_sha256: Mapping[str, str] | None = None,
+    arrival_s: float | None = None,
+) -> Certificate:
+    """Return what is proven of predicted flights."""
+    findings: list[Finding] = []
+    legs: list[LegVerdict] = []
+    for flight in flights:
+        found, verdicts = _vehicle(scene, flight)
+        findings += found
+        legs += verdicts
+    findings += _together(scene, flights)
+    findings += _returns(scene, flights)
+    findings += _arrival(scene, flights, arrival_s)
+    findings += _inspection(scene, flights)
+    return Certificate(
+        findings=tuple(findings),
+        legs=tuple(legs),
+        assumptions=tuple(_assumptions(scene, flights)),
+        mission_sha256=dict(mission_sha256 or {}),
+        return_height_m={f.sortie.name: f.sortie.return_height_m for f in flights},
+        input_sha256=scene.input_sha256,
+        software_version=__version__,
+    )
+
+
+# --- a fleet plan: the planner's own missions, rounded as they will be on the wire ----------------------------------
+
+
+def planned_sortie(scene: Scene, vehicle: VehiclePlan) -> Sortie:
+    """Return what a vehicle will hold of its plan: places to 1e-7 degrees, altitudes in single precision."""
+
+    def held(position_m: FloatArray) -> FloatArray:
+        point = scene.frame.geo_point(position_m)
+        alt_amsl_m = float(np.float32(point.alt_amsl_m))
+        return scene.frame.to_local(round(point.lat_deg, 7), round(point.lon_deg, 7), alt_amsl_m)
+
+    speed_m_s = float(np.float32(vehicle.speed_m_s))
+    seq = 1 if vehicle.autopilot == "ardupilot" else 0  # of the take-off; the speed comes after it
+    seqs = [seq, *(seq + 2 + k for k in range(len(vehicle.waypoints_m) - 1))]
+    legs = tuple(
+        Leg(seqs[k], "takeoff" if k == 0 else "straight", held(waypoint_m), speed_m_s)
+        for k, waypoint_m in enumerate(vehicle.waypoints_m)
+    )
+    return Sortie(
+        name=vehicle.name,
+        sysid=vehicle.sysid,
+        autopilot=vehicle.autopilot,
+        vehicle_class=vehicle.vehicle_class,
+        home_m=vehicle.home_m,
+        legs=legs,
+        ending=vehicle.end,
+        ending_seq=seqs[-1] + 1,
+        start_delay_s=vehicle.start_delay_s,
+        return_height_m=vehicle.motion.return_height_m,
+    )
+
+
+def checked(scene: Scene, plan: FleetPlan) -> FleetPlan:
+    """Return the plan with its certificate, and from it all least clearances and the least separation."""
+    certificate = prove(scene, [planned_sortie(scene, v) for v in plan.vehicles], arrival_s=plan.arrival_s)
+    vehicles = tuple(replace(v, clearances=clearances(certificate, v.name)) for v in plan.vehicles)
+    pairs = [f for f in certificate.findings if f.check == "separation" and f.value is not None]
+    nearest = min((_clearance(f) for f in pairs), key=lambda c: c.distance_m - c.required_m, default=None)
+    return replace(plan, vehicles=vehicles, separation=nearest, certificate=certificate)
+
+
+def clearances(certificate: Certificate, vehicle: str) -> tuple[Clearance, ...]:
+    """Return one vehicle's proven least clearances: terrain, obstacle, ceiling and fence, where there are any."""
+    wanted = ("terrain", "obstacle", "ceiling", "fence")
+    found = [f for f in certificate.findings if f.vehicle == vehicle and f.check in wanted and f.value is not None]
+    return tuple(_clearance(f) for f in sorted(found, key=lambda f: wanted.index(f.check)))
+
+
+def _clearance(finding: Finding) -> Clearance:
+    assert finding.value is not None
+    assert finding.required is not None
+    assert finding.position_m is not None
+    what = finding.to or (finding.check if finding.check != "separation" else finding.vehicle)
+    return Clearance(finding.value, finding.required, what, finding.position_m, finding.t_s)
+
+
+# --- one vehicle ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tube:
+    """Pieces of one leg's tube: (N, 2, 3), how much wider than the vehicle's it is, and whether ground is asked for."""
+
+    leg: Leg
+    kind: str
+    pieces: FloatArray
+    wider_m: float
+    over_terrain: bool
+
+
+def _predicted(scene: Scene, task: VehicleTask, sortie: Sortie, until_s: float = 0.0) -> Flight:
+    last = sortie.legs[-1].end_m
+    ground_m = float(scene.terrain.height_amsl_m(last[0], last[1]))
+    trajectory, reached_s = timing.predict_flight(
+        replace(task.motion, return_height_m=sortie.return_height_m),
+        sortie.home_m,
+        np.array([leg.end_m for leg in sortie.legs]),
+        np.array([leg.speed_m_s for leg in sortie.legs[1:]] or [sortie.legs[0].speed_m_s]),
+        hold_s=np.array([leg.hold_s for leg in sortie.legs[1:]] or [0.0]),
+        end=sortie.ending,
+        ground_amsl_m=ground_m if math.isfinite(ground_m) else float(sortie.home_m[2]),
+        start_delay_s=sortie.start_delay_s,
+        until_s=until_s,
+    )
+    timed = not sortie.gaps and all(leg.kind in ("takeoff", "straight") for leg in sortie.legs)
+    return Flight(task, sortie, trajectory, reached_s, timed)
+
+
+def _vehicle(scene: Scene, flight: Flight) -> tuple[list[Finding], list[LegVerdict]]:
+    tubes = _tubes(scene, flight)
+    radius_m = flight.task.limits.tube_m
+    pieces = np.concatenate([tube.pieces for tube in tubes])
+    wide = np.concatenate([np.full(len(tube.pieces), radius_m + tube.wider_m) for tube in tubes])
+    owner = np.concatenate([np.full(len(tube.pieces), k) for k, tube in enumerate(tubes)])
+    table = tube_clearances(scene.space, scene.terrain.bounds, pieces, wide)
+    asked = np.array([tube.over_terrain for tube in tubes])[owner]
+    findings = [
+        _understood(flight),
+        *_heights(flight, tubes, owner, table, asked, pieces, wide),
+        *_distances(scene, flight, tubes, owner, table),
+        _angles(flight),
+        _turns(flight),
+        _speeds(flight),
+        *_landings(scene, flight),
+        *_energy(scene, flight),
+    ]
+    return findings, _verdicts(scene, flight, tubes, owner, table, asked)
+
+
+def _tubes(scene: Scene, flight: Flight) -> list[_Tube]:
+    """Return the legs' tubes, take-off first, the ending last."""
+    if flight.sortie.vehicle_class == "plane":
+        return _predicted_tubes(flight)
+    sortie, tubes = flight.sortie, []
+    before = sortie.home_m
+    anywhere_m = 0.0  # around there: where on a circle the next leg begins is not known
+    for index, leg in enumerate(sortie.legs):
+        match leg.kind:
+            case "takeoff":
+                tubes.append(_Tube(leg, leg.kind, _line(before, leg.end_m), 0.0, over_terrain=False))
+            case "straight":
+                tubes.append(_Tube(leg, leg.kind, _line(before, leg.end_m), anywhere_m, over_terrain=True))
+            case "spline":
+                curve = spline_chords(sortie, index, _SPLINE_CHORD_M)
+                wider_m = _SPLINE_CHORD_M + anywhere_m
+                tubes.append(_Tube(leg, leg.kind, polyline_legs(curve), wider_m, over_terrain=True))
+            case "circle":
+                wider_m = max(anywhere_m, leg.radius_m)
+                tubes.append(_Tube(leg, leg.kind, _line(before, leg.end_m), wider_m, over_terrain=True))
+        before, anywhere_m = leg.end_m, leg.radius_m if leg.kind == "circle" else 0.0
+    last = replace(sortie.legs[-1], seq=sortie.ending_seq)
+    match sortie.ending:
+        case "land":
+            ground = np.array([*before[:2], flight.trajectory.position_m[-1, 2]])
+            tubes.append(_Tube(last, "land", _line(before, ground), anywhere_m, over_terrain=False))
+        case "rtl":
+            motion = replace(flight.task.motion, return_height_m=sortie.return_height_m)
+            level_m = motion.return_alt_amsl_m(float(before[2]), float(sortie.home_m[2]))
+            turn, above = np.array([*before[:2], level_m]), np.array([*sortie.home_m[:2], level_m])
+            way = polyline_legs(np.stack([before, turn, above]))
+            tubes.append(_Tube(last, "return", way, anywhere_m, over_terrain=True))
+            tubes.append(_Tube(last, "land", _line(above, sortie.home_m), 0.0, over_terrain=False))
+        case "loiter":
+            tubes.append(_Tube(last, "loiter", _line(before, before), anywhere_m, over_terrain=True))
+    return tubes
+
+
+def _line(start: FloatArray, end: FloatArray) -> FloatArray:
+    return np.stack([start, end])[np.newaxis]
+
+
+def chords(trajectory: Trajectory, from_s: float) -> FloatArray:
+    """Return a predicted flight from a time on as legs (N, 2, 3), no more than :data:`CHORD_ERROR_M` off it."""
+    position = trajectory.position_m[np.searchsorted(trajectory.t_s, from_s) :]
+    return polyline_legs(np.concatenate([position[:-1:_CHORD_TICKS], position[-1:]]))
+
+
+def _predicted_tubes(flight: Flight) -> list[_Tube]:
+    """Return a plane's predicted flight, leg by leg, the take-off first and what comes after the last leg last."""
+    trajectory, sortie = flight.trajectory, flight.sortie
+    ends = [int(np.searchsorted(trajectory.t_s, t)) for t in flight.reached_s]
+    ends = [0, *ends, len(trajectory.t_s) - 1]
+    legs = [*sortie.legs, replace(sortie.legs[-1], seq=sortie.ending_seq)]
+    kinds = [*(leg.kind for leg in sortie.legs), sortie.ending]
+    tubes = []
+    for (first, last), leg, kind in zip(pairwise(ends), legs, kinds, strict=True):
+        chosen = np.unique([*range(first, last, _CHORD_TICKS), last])
+        flown = trajectory.position_m[chosen if len(chosen) > 1 else np.repeat(chosen, 2)]
+        tubes.append(_Tube(leg, kind, polyline_legs(flown), CHORD_ERROR_M, over_terrain=kind != "takeoff"))
+    return tubes
+
+
+def _understood(flight: Flight) -> Finding:
+    sortie = flight.sortie
+    if not sortie.gaps:
+        return Finding("understood", sortie.name, True, "the path of every mission item is known")
+    told = "; ".join(f"item {gap.seq}: {gap.what}" for gap in sortie.gaps)
+    return Finding(
+        "understood", sortie.name, False, told, "replace it by waypoints with altitudes", seq=sortie.gaps[0].seq
+    )
+
+
+def _heights(
+    flight: Flight,
+    tubes: Sequence[_Tube],
+    owner: FloatArray,
+    table: TubeClearances,
+    asked: FloatArray,
+    pieces: FloatArray,
+    wide: FloatArray,
+) -> list[Finding]:
+    """Return what is proven of the height above ground, and of the ceilings."""
+    limits, name = flight.task.limits, flight.sortie.name
+    low = int(np.argmin(np.where(asked, table.height_min_m, np.inf)))
+    height_m, need_m = float(table.height_min_m[low]), limits.terrain_margin_m
+    leg = tubes[int(owner[low])].leg
+    if math.isinf(height_m):
+        detail, remedy = "the ground below is not known", "give a terrain that covers the way, without voids"
+    elif height_m >= need_m:
+        detail, remedy = f"its tube stays at least {height_m:.2f} m above the ground, expected {need_m:g} m", ""
+    else:
+        detail = f"terrain clearance is {height_m:.2f} m, expected {need_m:g} m"
+        remedy = f"raise waypoint {leg.seq} or the one before it by {need_m - height_m:.1f} m"
+    findings = [
+        Finding(
+            "terrain",
+            name,
+            height_m >= need_m,
+            detail,
+            remedy,
+            height_m,
+            need_m,
+            seq=leg.seq,
+            position_m=_position(table.height_min_at_m[low]),
+        )
+    ]
+    tops = pieces[:, :, 2].max(axis=1) + wide
+    for what, heights, at, most in (
+        (
+            "above the ground",
+            np.where(asked, table.height_max_m, -np.inf),
+            table.height_max_at_m,
+            limits.height_agl_max_m,
+        ),
+        ("AMSL", tops, pieces[np.arange(len(pieces)), pieces[:, :, 2].argmax(axis=1)], limits.alt_amsl_max_m),
+    ):
+        if math.isinf(most):
+            continue
+        high = int(np.argmax(heights))
+        excess_m, seq = float(heights[high]) - most, tubes[int(owner[high])].leg.seq
+        findings.append(
+            Finding(
+                "ceiling",
+                name,
+                excess_m <= 0.0,
+                f"its tube reaches {heights[high]:.2f} m {what}, allowed {most:g} m",
+                "" if excess_m <= 0.0 else f"lower waypoint {seq} or the one before it by {excess_m:.1f} m",
+                -excess_m,
+                0.0,
+                seq=seq,
+                position_m=_position(at[high]),
+            )
+        )
+    return findings
+
+
+def _distances(
+    scene: Scene, flight: Flight, tubes: Sequence[_Tube], owner: FloatArray, table: TubeClearances
+) -> list[Finding]:
+    """Return what is proven of the distances to obstacles, and inside the fence."""
+    need_m, name = flight.task.limits.obstacle_margin_m, flight.sortie.name
+    near, edge = int(np.argmin(table.obstacle_m)), int(np.argmin(table.fence_m))
+    border = "fence" if scene.mission.fence is not None else "edge of the area"
+    findings = []
+    if math.isfinite(table.obstacle_m[near]):
+        obstacle = scene.obstacles.names[int(table.obstacle[near])]
+        findings.append(
+            _distance(
+                "obstacle",
+                obstacle,
+                flight,
+                float(table.obstacle_m[near]),
+                tubes[int(owner[near])],
+                table.obstacle_at_m[near],
+            )
+        )
+    else:
+        findings.append(Finding("obstacle", name, True, "there are no obstacles"))
+    findings.append(
+        _distance("fence", border, flight, float(table.fence_m[edge]), tubes[int(owner[edge])], table.fence_at_m[edge])
+    )
+    assert need_m >= 0.0
+    return findings
+
+
+def _distance(check: Check, to: str, flight: Flight, distance_m: float, tube: _Tube, at_m: FloatArray) -> Finding:
+    need_m = flight.task.limits.obstacle_margin_m
+    proven = distance_m >= need_m
+    return Finding(
+        check,
+        flight.sortie.name,
+        proven,
+        f"its tube stays at least {distance_m:.2f} m from {to}, expected {need_m:g} m"
+        if proven
+        else f"{to} clearance is {distance_m:.2f} m, expected {need_m:g} m",
+        "" if proven else f"move waypoint {tube.leg.seq} or the one before it {need_m - distance_m:.1f} m away",
+        distance_m,
+        need_m,
+        to=to if check == "obstacle" else "",
+        seq=tube.leg.seq,
+        position_m=_position(at_m),
+    )
+
+
+def _angles(flight: Flight) -> Finding:
+    """Return whether no leg is steeper than the vehicle may climb and descend (eq. 7)."""
+    limits, sortie = flight.task.limits, flight.sortie
+    worst, seq, text = -math.inf, sortie.legs[0].seq, "no leg"
+    for index, (before, leg) in enumerate(pairwise(sortie.legs), start=1):
+        line = np.stack([before.end_m, leg.end_m])
+        if leg.kind == "spline":
+            line = spline_chords(sortie, index, _SPLINE_CHORD_M)
+        for step in np.diff(line, axis=0):
+            angle_rad = math.atan2(step[2], math.hypot(step[0], step[1]))
+            most_rad = limits.climb_angle_rad if angle_rad > 0.0 else limits.descent_angle_rad
+            if abs(angle_rad) - most_rad > worst and np.any(step != 0.0):
+                worst, seq = abs(angle_rad) - most_rad, leg.seq
+                what = "climbs" if angle_rad > 0.0 else "descends"
+                text = f"{what} at {math.degrees(abs(angle_rad)):.1f} degrees, allowed {math.degrees(most_rad):.1f}"
+    proven = worst <= _ANGLE_SLACK_RAD
+    remedy = "" if proven else "put a waypoint between, or move the two apart"
+    return Finding("angle", sortie.name, proven, f"its steepest leg {text}", remedy, unit="", seq=seq)
+
+
+def _turns(flight: Flight) -> Finding:
+    """Return whether every corner can be flown with the turn radius, and turns no more than allowed (eqs 5 and 8).
+
+    A corner is rounded by an arc tangent to both its legs that stays within what the tube allows for.
+    """
+    limits, sortie = flight.task.limits, flight.sortie
+    corners_m = np.array([leg.end_m for leg in sortie.legs])
+    stops = np.array([leg.hold_s > 0.0 for leg in sortie.legs])
+    turns, radii_m = _corners(flight.task, corners_m, stops)
+    sharp, tight = int(np.argmax(turns)), int(np.argmin(radii_m))
+    sharpest, tightest = float(turns[sharp]), float(radii_m[tight])
+    sharp_seq, tight_seq = sortie.legs[sharp].seq, sortie.legs[tight].seq
+    if sortie.vehicle_class == "plane":
+        tightest = _tightest_flown_m(flight)
+    if sharpest > limits.turn_angle_rad + _ANGLE_SLACK_RAD:
+        return Finding(
+            "turn",
+            sortie.name,
+            False,
+            f"turns by {math.degrees(sharpest):.0f} degrees, allowed {math.degrees(limits.turn_angle_rad):.0f}",
+            "put waypoints around the corner",
+            unit="",
+            seq=sharp_seq,
+        )
+    if tightest < limits.turn_radius_m * (1.0 - 1e-6):
+        return Finding(
+            "turn",
+            sortie.name,
+            False,
+            f"turns with a radius of {tightest:.1f} m, expected at least {limits.turn_radius_m:g} m",
+            "put waypoints around the corner",
+            tightest,
+            limits.turn_radius_m,
+            seq=tight_seq,
+        )
+    return Finding(
+        "turn",
+        sortie.name,
+        True,
+        f"turns by at most {math.degrees(sharpest):.0f} degrees"
+        + (f", with a radius of at least {limits.turn_radius_m:g} m" if limits.turn_radius_m > 0.0 else ""),
+        unit="",
+    )
+
+
+def turns_allowed(task: VehicleTask, waypoints_m: FloatArray) -> bool:
+    """Return whether the corners of waypoints (W, 3) are ones that the vehicle may fly (eqs 5 and 8)."""
+    turns, radii_m = _corners(task, waypoints_m, np.zeros(len(waypoints_m), dtype=bool))
+    limits = task.limits
+    allowed = (turns <= limits.turn_angle_rad + _ANGLE_SLACK_RAD) & (radii_m >= limits.turn_radius_m * (1.0 - 1e-6))
+    return bool(allowed.all())
+
+
+def _corners(task: VehicleTask, waypoints_m: FloatArray, stops: npt.NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Return at each waypoint (W,) the turn, and the widest radius that stays within the tube (planes: inf)."""
+    turns, radii_m = np.zeros(len(waypoints_m)), np.full(len(waypoints_m), math.inf)
+    steps = np.diff(waypoints_m[:, :2], axis=0)
+    for k, (into, out) in enumerate(pairwise(steps), start=1):
+        if not (np.any(into) and np.any(out)):
+            continue
+        turns[k] = math.atan2(abs(into[0] * out[1] - into[1] * out[0]), float(into @ out))
+        if task.motion.vehicle_class == "copter" and turns[k] > 1e-3 and not stops[k]:
+            radii_m[k] = task.limits.deviation_m / (1.0 / max(math.cos(0.5 * turns[k]), 1e-9) - 1.0)
+    return turns, radii_m
+
+
+def _tightest_flown_m(flight: Flight) -> float:
+    """Return the least radius of a plane's predicted flight once it has taken off."""
+    airborne = flight.trajectory.t_s >= flight.reached_s[0]
+    step = np.diff(flight.trajectory.position_m[airborne, :2], axis=0)
+    length = np.hypot(step[:, 0], step[:, 1])
+    turn = np.arctan2(step[:-1, 0] * step[1:, 1] - step[:-1, 1] * step[1:, 0], (step[:-1] * step[1:]).sum(axis=1))
+    turning = np.abs(turn) > 1e-6
+    if not turning.any():
+        return math.inf
+    return float((0.5 * (length[:-1] + length[1:])[turning] / np.abs(turn[turning])).min()) * (1.0 + 1e-2)
+
+
+def _speeds(flight: Flight) -> Finding:
+    limits, sortie = flight.task.limits, flight.sortie
+    for leg in sortie.legs[1:]:
+        slow = leg.speed_m_s < limits.speed_min_m_s - _SPEED_SLACK_M_S
+        if slow or leg.speed_m_s > limits.speed_max_m_s + _SPEED_SLACK_M_S:
+            return Finding(
+                "speed",
+                sortie.name,
+                False,
+                f"is to be flown at {leg.speed_m_s:g} m/s, allowed {limits.speed_min_m_s:g} to "
+                f"{limits.speed_max_m_s:g} m/s",
+                "change the DO_CHANGE_SPEED before it, or speed_m_s in the mission file",
+                leg.speed_m_s,
+                limits.speed_min_m_s if slow else limits.speed_max_m_s,
+                "m/s",
+                seq=leg.seq,
+            )
+    return Finding("speed", sortie.name, True, "every leg's speed is within the vehicle's range", unit="m/s")
+
+
+def _landings(scene: Scene, flight: Flight) -> list[Finding]:
+    """Return whether home, and the goal where it lands there, lie on ground that one can land on."""
+    sortie = flight.sortie
+    places: list[tuple[str, FloatArray, int | None]] = [("home", sortie.home_m, None)]
+    if sortie.ending == "land":
+        places.append(("its landing place", sortie.legs[-1].end_m, sortie.ending_seq))
+    findings = []
+    for what, place, seq in places:
+        slope = float(steepest(scene.terrain.arrays, place[0], place[1], flight.task.limits.tube_m))
+        angle_deg, most_deg = math.degrees(math.atan(slope)), math.degrees(flight.task.limits.landing_slope_rad)
+        proven = angle_deg <= most_deg
+        findings.append(
+            Finding(
+                "landing",
+                sortie.name,
+                proven,
+                f"{what}: the ground is not known"
+                if math.isinf(slope)
+                else f"{what} lies on ground of at most {angle_deg:.1f} degrees, allowed {most_deg:g}",
+                "" if proven else "move it to level ground, or raise safety.landing_slope_max_deg",
+                angle_deg if math.isfinite(slope) else None,
+                most_deg,
+                "degrees",
+                seq=seq,
+                position_m=_position(place),
+            )
+        )
+    return findings
+
+
+def _energy(scene: Scene, flight: Flight) -> list[Finding]:
+    """Return whether the energy lasts, with reserve and wind, to the end of the mission; and home from everywhere."""
+    sortie = flight.sortie
+    settings = next(v for v in scene.mission.vehicles if v.name == sortie.name)
+    model = energy.energy_model(settings)
+    if model is None:
+        return [Finding("energy", sortie.name, True, "no endurance_s or energy is given: nothing is asked of it")]
+    if not flight.timed:
+        return [Finding("energy", sortie.name, False, "its times are not known", "use straight legs only")]
+    return energy.findings(
+        model,
+        sortie,
+        flight.trajectory,
+        flight.reached_s,
+        scene.mission.wind_max_m_s,
+        return_waived=scene.mission.fleet.direct_return == "waived",
+    )
+
+
+def _verdicts(
+    scene: Scene,
+    flight: Flight,
+    tubes: Sequence[_Tube],
+    owner: FloatArray,
+    table: TubeClearances,
+    asked: FloatArray,
+) -> list[LegVerdict]:
+    limits = flight.task.limits
+    verdicts = []
+    for index, tube in enumerate(tubes):
+        own = np.flatnonzero(owner == index)
+        near = own[int(np.argmin(table.obstacle_m[own]))]
+        terrain_m = float(table.height_min_m[own].min()) if asked[own[0]] else None
+        obstacle_m = float(table.obstacle_m[near])
+        highest_m = float(table.height_max_m[own].max())
+        top_m = float(tube.pieces[:, :, 2].max()) + limits.tube_m + tube.wider_m
+        fence_m = float(table.fence_m[own].min())
+        proven = (
+            (terrain_m is None or (terrain_m >= limits.terrain_margin_m and highest_m <= limits.height_agl_max_m))
+            and obstacle_m >= limits.obstacle_margin_m
+            and fence_m >= limits.obstacle_margin_m
+            and top_m <= limits.alt_amsl_max_m
+        )
+        verdicts.append(
+            LegVerdict(
+                vehicle=flight.sortie.name,
+                seq=tube.leg.seq,
+                kind=tube.kind,
+                start_m=_position(tube.pieces[0, 0]),
+                end_m=_position(tube.pieces[-1, 1]),
+                terrain_m=terrain_m,
+                obstacle_m=obstacle_m if math.isfinite(obstacle_m) else None,
+                obstacle=scene.obstacles.names[int(table.obstacle[near])] if math.isfinite(obstacle_m) else "",
+                fence_m=fence_m,
+                proven=proven,
+            )
+        )
+    return verdicts
+
+
+# --- the fleet ------------------------------------------------------------------------------------------------------
+
+
+def required_apart_m(scene: Scene, one: VehicleTask, other: VehicleTask) -> float:
+    """Return how far apart two predicted flights must be for the vehicles to keep the fleet's separation."""
+    return scene.mission.fleet.separation_m + one.off_prediction_m + other.off_prediction_m
+
+
+def _apart(scene: Scene, flights: Sequence[Flight]) -> Callable[[int, int], float]:
+    return lambda i, j: required_apart_m(scene, flights[i].task, flights[j].task)
+
+
+def _together(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
+    """Return whether all keep apart at every instant (eq. 9), and how early or late any one of them may be."""
+    if len(flights) < 2:
+        return []
+    untimed = [f.sortie.name for f in flights if not f.timed]
+    if untimed:
+        detail = f"the times of {', '.join(untimed)} are not known"
+        return [Finding("separation", "", False, detail, "use straight legs only, or fly one vehicle at a time")]
+    names = [f.sortie.name for f in flights]
+    trajectories = [f.trajectory for f in flights]
+    required = _apart(scene, flights)
+    nearest = nearest_pair(names, trajectories, required)
+    assert nearest is not None
+    at = f"{nearest.distance_m:.1f} m apart at {nearest.t_s:.0f} s, expected {nearest.required_m:g} m"
+    apart = Finding(
+        "separation",
+        nearest.what,
+        nearest.ok,
+        at,
+        "" if nearest.ok else "start one later, or move their ways apart",
+        nearest.distance_m,
+        nearest.required_m,
+        position_m=nearest.position_m,
+        t_s=nearest.t_s,
+    )
+    slack = timing.least_slack(trajectories, required, LATENESS_LIMIT_S)[0]
+    need_s = scene.mission.fleet.lateness_s
+    late = Finding(
+        "lateness",
+        f"{names[slack.first]} - {names[slack.second]}",
+        slack.slack_s >= need_s,
+        f"all keep apart while none is more than {slack.slack_s:.1f} s early or late, expected {need_s:g} s",
+        "" if slack.slack_s >= need_s else "start one later, or lower fleet.lateness_s",
+        slack.slack_s,
+        need_s,
+        "s",
+    )
+    return [apart, late]
+
+
+def returning(flight: Flight) -> Returning:
+    """Return what of a flight its return is judged by."""
+    return Returning(
+        name=flight.sortie.name,
+        home_m=flight.sortie.home_m,
+        limits=flight.task.limits,
+        motion=replace(flight.task.motion, return_height_m=flight.sortie.return_height_m),
+        trajectory=flight.trajectory,
+        airborne_s=float(flight.reached_s[0]),
+        descends_s=flight.descends_s,
+    )
+
+
+def _returns(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
+    waived = scene.mission.fleet.direct_return == "waived"
+    unknown = [f for f in flights if not f.timed]
+    if unknown:
+        return [
+            Finding(
+                "return",
+                f.sortie.name,
+                False,
+                "its flight is not predicted, so its way home is not known",
+                "use straight legs only",
+                waived=waived,
+            )
+            for f in unknown
+        ]
+    return returns.prove_returns(
+        scene.space,
+        scene.terrain.bounds,
+        scene.obstacles.names,
+        [returning(f) for f in flights],
+        _apart(scene, flights),
+        waived=waived,
+    )
+
+
+def _arrival(scene: Scene, flights: Sequence[Flight], arrival_s: float | None) -> list[Finding]:
+    """Return whether all arrive with the fleet (eq. 10)."""
+    if arrival_s is None:
+        return []
+    asked_s = scene.mission.fleet.arrival_time_s
+    if asked_s is not None and abs(arrival_s - asked_s) > ARRIVAL_ERROR_MAX_S:
+        detail = f"the fleet arrives at {arrival_s:.1f} s, expected fleet.arrival_time_s {asked_s:g}"
+        return [Finding("arrival", "", False, detail, "plan the mission again", arrival_s, asked_s, "s")]
+    off = [(abs(float(f.reached_s[-1]) - arrival_s), f) for f in flights]
+    worst_s, worst = max(off, key=lambda pair: pair[0])
+    if worst_s > ARRIVAL_ERROR_MAX_S:
+        detail = f"arrives at {worst.reached_s[-1]:.1f} s, expected with the fleet at {arrival_s:.1f} s"
+        return [Finding("arrival", worst.sortie.name, False, detail, "ask for another fleet.arrival_time_s", unit="s")]
+    detail = f"all are predicted to arrive at {arrival_s:.1f} s, within {worst_s:.2f} s"
+    return [Finding("arrival", "", True, detail, value=worst_s, required=ARRIVAL_ERROR_MAX_S, unit="s")]
+
+
+def _inspection(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
+    if scene.towers is None:
+        return []
+    share = inspected_share(scene, [np.array([leg.end_m for leg in f.sortie.legs]) for f in flights])
+    need = scene.towers.share_min
+    return [
+        Finding(
+            "inspection",
+            "",
+            share >= need,
+            f"the fleet passes {share:.0%} of the towers' weight within {scene.towers.range_m:g} m, "
+            f"expected {need:.0%}",
+            "" if share >= need else "let vehicles inspect the others, or lower inspection.share_min",
+            share,
+            need,
+            "",
+        )
+    ]
+
+
+def inspected_share(scene: Scene, lines_m: Sequence[FloatArray]) -> float:
+    """Return the share of the towers' weight that polylines (N, 3) pass within range (PAPER.md eqs 6 and 15)."""
+    towers = scene.towers
+    if towers is None or towers.weight.sum() == 0.0:
+        return 1.0
+    legs = np.concatenate([polyline_legs(line) for line in lines_m])
+    nearest_m = np.array([distance_to_legs_m(top, legs).min() for top in towers.top_m])
+    inspected = nearest_m <= towers.range_m
+    return float(towers.weight[inspected].sum() / towers.weight.sum())
+
+
+def _assumptions(scene: Scene, flights: Sequence[Flight]) -> list[str]:
+    """Return the figures that the proof rests on."""
+    lines = []
+    for flight in flights:
+        limits, motion = flight.task.limits, flight.task.motion
+        around = "its predicted flight" if motion.vehicle_class == "plane" else "its legs"
+        lines.append(
+            f"{flight.sortie.name} stays within {limits.tube_m:g} m of {around}: "
+            f"{limits.tracking_error_m:g} m tracking, {limits.position_error_m:g} m position, "
+            f"{limits.deviation_m:g} m corners cut and look-ahead of {motion.autopilot}"
+        )
+    lines += [f"{flight.sortie.name}: {note}" for flight in flights for note in flight.sortie.notes]
+    lines += [
+        f"terrain: {scene.terrain.description}, bicubic; its vertical error is part of the margins",
+        "distances to terrain, obstacles and fence: what the whole tube keeps; between vehicles: of predicted flights",
+        f"wind of at most {scene.mission.wind_max_m_s:g} m/s",
+        f"each vehicle returns at its own height above home ({_heights_told(flights)}), as set and read back on upload",
+        "altitudes are mean sea level; a vehicle whose altitude is wrong is refused before it is armed",
+    ]
+    return lines
+
+
+def _heights_told(flights: Sequence[Flight]) -> str:
+    return ", ".join(f"{f.sortie.name} {f.sortie.return_height_m:g} m" for f in flights)
+
+
+def worst_conflict(scene: Scene, plan: FleetPlan) -> Conflict | None:
+    """Return the pair that undercuts its separation the most, if any does (PAPER.md eq. 9)."""
+    found = []
+    trajectories = [vehicle.trajectory for vehicle in plan.vehicles]
+    for pair in timing.least_separation(trajectories):
+        one, other = scene.tasks[pair.first], scene.tasks[pair.second]
+        required_m = required_apart_m(scene, one, other)
+        if pair.distance_m < required_m:
+            names = (plan.vehicles[pair.first].name, plan.vehicles[pair.second].name)
+            found.append(Conflict(pair.first, pair.second, names, pair.distance_m, required_m, pair.t_s))
+    return min(found, key=lambda c: c.distance_m - c.required_m, default=None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,260 +806,9 @@ class Conflict:
     def __str__(self) -> str:
         return (
             f"{self.names[0]} and {self.names[1]} come within {self.distance_m:.1f} m of each other at "
-            f"{self.t_s:.0f} s, closer than the {self.required_m:g} m of separation and tracking errors"
+            f"{self.t_s:.0f} s, closer than the {self.required_m:g} m of separation and errors"
         )
 
 
-def checked(scene: Scene, plan: FleetPlan) -> FleetPlan:
-    """Return the plan with all least clearances and the least separation filled in."""
-    vehicles = tuple(
-        replace(vehicle, clearances=clearances(scene, task, vehicle))
-        for task, vehicle in zip(scene.tasks, plan.vehicles, strict=True)
-    )
-    trajectories = [vehicle.trajectory for vehicle in plan.vehicles]
-    nearest = _nearest_pair(scene, plan, trajectories, with_tracking_error=True)
-    return replace(plan, vehicles=vehicles, separation=_separation(nearest, trajectories))
-
-
-def unsafe(scene: Scene, plan: FleetPlan) -> list[str]:
-    """Return why a checked plan must not be flown, one reason each; empty when every check holds."""
-    reasons = [
-        f"{vehicle.name}: {c.what} clearance is {c.distance_m:.2f} m at {_where(plan, c)}, expected {c.required_m:g} m"
-        for vehicle in plan.vehicles
-        for c in vehicle.clearances
-        if not c.ok
-    ]
-    for task, vehicle in zip(scene.tasks, plan.vehicles, strict=True):
-        airborne_s = float(vehicle.trajectory.t_s[-1]) - vehicle.start_delay_s
-        if airborne_s > task.limits.endurance_s:
-            reasons.append(
-                f"{vehicle.name}: flies {airborne_s:.0f} s, longer than its endurance of "
-                f"{task.limits.endurance_s:g} s: give it fewer stops, a higher speed or a later start"
-            )
-        steep = np.flatnonzero(~legs_within_angles(task.limits, polyline_legs(vehicle.waypoints_m), _ANGLE_SLACK_RAD))
-        if steep.size:
-            reasons.append(
-                f"{vehicle.name}: the leg from waypoint {steep[0]} to {steep[0] + 1} is steeper than it may climb "
-                f"({np.degrees(task.limits.climb_angle_rad):.0f} degrees) or descend "
-                f"({np.degrees(task.limits.descent_angle_rad):.0f} degrees)"
-            )
-    reasons += _not_together(scene, plan)
-    if scene.towers is not None:
-        share = inspected_share(scene, [vehicle.waypoints_m for vehicle in plan.vehicles])
-        if share < scene.towers.share_min:
-            reasons.append(
-                f"inspection: the fleet passes {share:.0%} of the towers' weight within {scene.towers.range_m:g} m, "
-                f"expected {scene.towers.share_min:.0%}: let vehicles inspect the others, or lower inspection.share_min"
-            )
-    if plan.separation is not None and not plan.separation.ok:
-        c = plan.separation
-        reasons.append(f"{c.what}: {c.distance_m:.1f} m apart at {c.t_s:.0f} s, expected {c.required_m:g} m")
-    return reasons
-
-
-def _not_together(scene: Scene, plan: FleetPlan) -> list[str]:
-    """Return who does not arrive with the fleet although the mission asks for it (eq. 10)."""
-    fleet = scene.mission.fleet
-    if not fleet.arrive_together:
-        return []
-    if plan.arrival_s is None:
-        return ["the fleet has no common arrival, although the mission asks for one"]
-    if fleet.arrival_time_s is not None and abs(plan.arrival_s - fleet.arrival_time_s) > ARRIVAL_ERROR_MAX_S:
-        return [f"the fleet arrives at {plan.arrival_s:.1f} s, expected fleet.arrival_time_s {fleet.arrival_time_s:g}"]
-    return [
-        f"{vehicle.name}: arrives at {vehicle.arrival_s:.1f} s, expected with the fleet at {plan.arrival_s:.1f} s: ask "
-        "for another fleet.arrival_time_s"
-        for vehicle in plan.vehicles
-        if abs(vehicle.arrival_s - plan.arrival_s) > ARRIVAL_ERROR_MAX_S
-    ]
-
-
-def inspected_share(scene: Scene, lines_m: Sequence[FloatArray]) -> float:
-    """Return the share of the towers' weight that polylines (N, 3) pass within range (PAPER.md eqs 6 and 15)."""
-    towers = scene.towers
-    if towers is None or towers.weight.sum() == 0.0:
-        return 1.0
-    legs = np.concatenate([polyline_legs(line) for line in lines_m])
-    nearest_m = np.array([distance_to_legs_m(top, legs).min() for top in towers.top_m])
-    inspected = nearest_m <= towers.range_m
-    return float(towers.weight[inspected].sum() / towers.weight.sum())
-
-
-def worst_conflict(scene: Scene, plan: FleetPlan) -> Conflict | None:
-    """Return the pair that undercuts its separation the most, if any does (PAPER.md eq. 9)."""
-    nearest = _nearest_pair(scene, plan, [v.trajectory for v in plan.vehicles], with_tracking_error=True)
-    return nearest if nearest is not None and nearest.distance_m < nearest.required_m else None
-
-
-def _nearest_pair(
-    scene: Scene, plan: FleetPlan, trajectories: list[Trajectory], *, with_tracking_error: bool
-) -> Conflict | None:
-    """Return the pair with the least separation relative to what it needs; None for a single vehicle."""
-    pairs = []
-    for pair in timing.least_separation(trajectories):
-        required_m = scene.mission.fleet.separation_m
-        if with_tracking_error:
-            required_m += sum(scene.tasks[k].limits.tracking_error_m for k in (pair.first, pair.second))
-        names = (plan.vehicles[pair.first].name, plan.vehicles[pair.second].name)
-        pairs.append(Conflict(pair.first, pair.second, names, pair.distance_m, required_m, pair.t_s))
-    return min(pairs, key=lambda c: c.distance_m - c.required_m, default=None)
-
-
-def _separation(pair: Conflict | None, trajectories: list[Trajectory]) -> Clearance | None:
-    if pair is None:
-        return None
-    x, y, z = trajectories[pair.first].at(pair.t_s)
-    return Clearance(pair.distance_m, pair.required_m, " - ".join(pair.names), (float(x), float(y), float(z)), pair.t_s)
-
-
-def _where(plan: FleetPlan, clearance: Clearance) -> str:
-    point = plan.frame.geo_point(clearance.position_m)
-    return f"{point.lat_deg:.6f}, {point.lon_deg:.6f}, {point.alt_amsl_m:.0f} m AMSL"
-
-
-def clearances(scene: Scene, task: VehicleTask, plan: VehiclePlan) -> tuple[Clearance, ...]:
-    """Return the least clearances of a vehicle's legs and predicted flight: terrain, ceiling, obstacles, fence."""
-    space, names = scene.space, scene.obstacles.names
-    margins = Margins.of(task.limits)
-    airborne = airborne_part(plan.trajectory, float(plan.reached_s[0]))
-    columns = _columns(plan, float(airborne.t_s[-1]))
-    anywhere = replace(margins, height_agl_min_m=-np.inf, height_agl_max_m=np.inf, alt_amsl_max_m=np.inf)
-    found = [
-        *least_clearances(space, names, margins, polyline_legs(plan.waypoints_m)),
-        *least_clearances(space, names, margins, curve_legs(airborne)),
-        *least_clearances(space, names, anywhere, columns),
-    ]
-    return worst_of_each(found)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FlightCheck:
-    """What a recorded flight kept clear of: per vehicle, and between any two."""
-
-    clearances: tuple[tuple[Clearance, ...], ...]
-    separation: Clearance | None
-
-    @property
-    def ok(self) -> bool:
-        """Whether every clearance was kept."""
-        every = [c for vehicle in self.clearances for c in vehicle]
-        return all(c.ok for c in (every if self.separation is None else [*every, self.separation]))
-
-
-def check_flight(scene: Scene, plan: FleetPlan, flight: FleetFlight) -> FlightCheck:
-    """Return the least clearances of flown tracks, which may use up the tracking error but not the margins."""
-    found: list[tuple[Clearance, ...]] = []
-    for task, vehicle, flown in zip(scene.tasks, plan.vehicles, flight.vehicles, strict=True):
-        margins = Margins.of(replace(task.limits, tracking_error_m=0.0))
-        drift_m = _COLUMN_M + 2.0 * task.limits.tracking_error_m  # a real climb or descent is not plumb
-        position, top = flown.trajectory.position_m, vehicle.waypoints_m[0]
-        high = position[:, 2] >= top[2] - task.limits.tracking_error_m
-        column_m = np.hypot(*(top - vehicle.home_m)[:2]) + drift_m
-        away = np.hypot(*(position - vehicle.home_m)[:, :2].T) > column_m  # however low: that is what is looked for
-        up = np.flatnonzero(high | away)
-        if up.size == 0:  # it never left its pad
-            found.append(())
-            continue
-        track = airborne_part(flown.trajectory, float(flown.trajectory.t_s[up[0]]), drift_m)
-        legs = polyline_legs(track.position_m)
-        found.append(worst_of_each(least_clearances(scene.space, scene.obstacles.names, margins, legs)))
-    tracks = [vehicle.trajectory for vehicle in flight.vehicles]
-    nearest = _nearest_pair(scene, plan, tracks, with_tracking_error=False)
-    return FlightCheck(tuple(found), _separation(nearest, tracks))
-
-
-def curve_legs(predicted: Trajectory) -> FloatArray:
-    """Return a predicted flight as legs (N, 2, 3) of 0.2 s: chords of its ticks, at most 2 cm off at 4 m/s^2."""
-    position = predicted.position_m
-    return polyline_legs(np.concatenate([position[:-1:_TICKS_PER_CHORD], position[-1:]]))
-
-
-def airborne_part(trajectory: Trajectory, airborne_s: float, column_m: float = _COLUMN_M) -> Trajectory:
-    """Return the part between the top of the take-off and the descent at the end, within ``column_m`` of its pad."""
-    position = trajectory.position_m
-    away = np.hypot(*(position[:, :2] - position[-1, :2]).T) > column_m
-    last = int(np.flatnonzero(away)[-1]) + 1 if away.any() else 0
-    first = int(np.searchsorted(trajectory.t_s, airborne_s))
-    last = max(last, first + 1)
-    return Trajectory(trajectory.t_s[first : last + 1], position[first : last + 1])
-
-
-def least_clearances(
-    space: SpaceArrays, names: tuple[str, ...], margins: Margins, legs: FloatArray, step_m: float = TERRAIN_STEP_M
-) -> list[Clearance]:
-    """Return the least clearance of legs (N, 2, 3) to the ground, the ceiling, the nearest obstacle and the fence."""
-    table = kernels.legs_clearance(space, np.ascontiguousarray(legs), step_m)
-
-    def place(leg: int, at: float) -> tuple[float, float, float]:
-        x, y, z = legs[leg, 0] + at * (legs[leg, 1] - legs[leg, 0])
-        return float(x), float(y), float(z)
-
-    low = int(np.argmin(table[:, kernels.HEIGHT_MIN]))
-    found = [
-        Clearance(
-            distance_m=float(table[low, kernels.HEIGHT_MIN]),
-            required_m=margins.height_agl_min_m,
-            what="terrain",
-            position_m=place(low, table[low, kernels.HEIGHT_MIN_AT]),
-        )
-    ]
-    found += _ceiling(table, margins, legs)
-    if np.isfinite(table[:, kernels.OBSTACLE]).any():
-        near = int(np.argmin(table[:, kernels.OBSTACLE]))
-        found.append(
-            Clearance(
-                distance_m=float(table[near, kernels.OBSTACLE]),
-                required_m=margins.obstacle_m,
-                what=names[int(table[near, kernels.OBSTACLE_INDEX])],
-                position_m=place(near, table[near, kernels.OBSTACLE_AT]),
-            )
-        )
-    edge = int(np.argmin(table[:, kernels.FENCE]))
-    found.append(
-        Clearance(
-            distance_m=float(table[edge, kernels.FENCE]),
-            required_m=margins.fence_m,
-            what="fence",
-            position_m=place(edge, table[edge, kernels.FENCE_AT]),
-        )
-    )
-    return found
-
-
-def all_clear(space: SpaceArrays, margins: Margins, legs: FloatArray) -> bool:
-    """Return whether all legs (N, 2, 3) keep every margin."""
-    return bool(legs_clear(space, margins, legs, TERRAIN_STEP_M).all())
-
-
-def worst_of_each(found: list[Clearance]) -> tuple[Clearance, ...]:
-    """Return the tightest of each kind: terrain, ceiling, fence, and one for all obstacles together."""
-    tightest: dict[str, Clearance] = {}
-    for clearance in found:
-        kind = clearance.what if clearance.what in {"terrain", "ceiling", "fence"} else "obstacle"
-        known = tightest.get(kind)
-        if known is None or clearance.distance_m - clearance.required_m < known.distance_m - known.required_m:
-            tightest[kind] = clearance
-    return tuple(tightest[kind] for kind in ("terrain", "obstacle", "ceiling", "fence") if kind in tightest)
-
-
-def _ceiling(table: FloatArray, margins: Margins, legs: FloatArray) -> list[Clearance]:
-    """Return the least room below the ceilings, where there are any."""
-    rooms = []
-    if np.isfinite(margins.height_agl_max_m):
-        high = int(np.argmax(table[:, kernels.HEIGHT_MAX]))
-        at = legs[high, 0] + table[high, kernels.HEIGHT_MAX_AT] * (legs[high, 1] - legs[high, 0])
-        rooms.append((margins.height_agl_max_m - float(table[high, kernels.HEIGHT_MAX]), at))
-    if np.isfinite(margins.alt_amsl_max_m):
-        top = np.unravel_index(int(np.argmax(legs[..., 2])), legs.shape[:2])
-        rooms.append((margins.alt_amsl_max_m - float(legs[top][2]), legs[top]))
-    return [Clearance(room, 0.0, "ceiling", (float(at[0]), float(at[1]), float(at[2]))) for room, at in rooms]
-
-
-def _columns(plan: VehiclePlan, sinks_s: float) -> FloatArray:
-    """Return the take-off, straight and as flown, and the flight from ``sinks_s`` on to the ground, as legs."""
-    climb = plan.trajectory.position_m[plan.trajectory.t_s <= plan.reached_s[0]]
-    take_off = np.concatenate([np.stack([plan.home_m, plan.waypoints_m[0]])[np.newaxis], polyline_legs(climb)])
-    after = plan.trajectory.position_m[plan.trajectory.t_s >= sinks_s]
-    if len(after) < 2:
-        return take_off
-    return np.concatenate([take_off, polyline_legs(after)])
+def _position(point: FloatArray) -> Position:
+    return float(point[0]), float(point[1]), float(point[2])

@@ -29,6 +29,7 @@ from missionplanner.obstacles import (
     pack,
 )
 from missionplanner.terrain import Rectangle, Terrain
+from missionplanner.terrain_bounds import steepest
 from missionplanner.vehicle import (
     Ending,
     MotionModel,
@@ -61,6 +62,11 @@ class VehicleTask:
     end: Ending
     limits: VehicleLimits
     motion: MotionModel
+
+    @property
+    def off_prediction_m(self) -> float:
+        """How far it may be from its predicted flight at any time; a plane's is predicted less well."""
+        return self.limits.tube_m if self.motion.vehicle_class == "plane" else self.limits.stray_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +107,19 @@ def build_scene(mission: Mission, folder: Path) -> Scene:
     return _Builder(mission, folder).scene()
 
 
+def build_check_scene(mission: Mission, folder: Path, places_deg: Sequence[tuple[float, float]]) -> Scene:
+    """Resolve a mission for judging flights that it did not plan; its area holds ``places_deg`` (latitude, longitude).
+
+    Its vehicles' limits count, their starts, stops and goals do not: they have no route.
+
+    Raises
+    ------
+    MissionError
+        As :func:`build_scene`, but for starts, stops and goals.
+    """
+    return _Builder(mission, folder, places_deg).scene(with_routes=False)
+
+
 def portable_mission(scene: Scene) -> Mission:
     """Return the scene's mission as it reads beside ``terrain.tif``, the terrain that :func:`.write_raster` writes.
 
@@ -138,17 +157,25 @@ class _Spot:
 class _Builder:
     """Resolves one mission, part by part: each step uses what those before it left."""
 
-    def __init__(self, question: Mission, folder: Path) -> None:
+    def __init__(self, question: Mission, folder: Path, also_deg: Sequence[tuple[float, float]] = ()) -> None:
         self._mission = question
         self._frame = LocalFrame(question.origin.lat_deg, question.origin.lon_deg)
+        self._also = [
+            self._xy(mission.Place(lat_deg=lat_deg, lon_deg=lon_deg), f"{lat_deg:.5f}, {lon_deg:.5f}")
+            for lat_deg, lon_deg in also_deg
+        ]
         self._area, self._terrain = self._area_and_terrain(folder)
         self._towers = self._tower_tops()
         self._obstacles = pack([*map(self._solid, itertools.count(), question.obstacles), *self._line_solids()])
         self._space = self._everything()
 
-    def scene(self) -> Scene:
-        tasks = tuple(self._task(i, vehicle) for i, vehicle in enumerate(self._mission.vehicles))
-        self._check_apart(tasks)
+    def scene(self, *, with_routes: bool = True) -> Scene:
+        numbered = enumerate(self._mission.vehicles)
+        if with_routes:
+            tasks = tuple(self._task(i, vehicle) for i, vehicle in numbered)
+            self._check_apart(tasks)
+        else:
+            tasks = tuple(self._task_without_route(i, vehicle) for i, vehicle in numbered)
         return Scene(
             mission=self._mission,
             frame=self._frame,
@@ -216,6 +243,7 @@ class _Builder:
         return west - room, south - room, east + room, north + room
 
     def _places_needed(self) -> Iterator[tuple[float, float]]:
+        yield from self._also
         for i, vehicle in enumerate(self._mission.vehicles):
             for field in ("home", "start", "goal"):
                 place = getattr(vehicle, field)
@@ -385,12 +413,12 @@ class _Builder:
         model = motion_model(vehicle)
         self._check_takeoff(home, route[0], margins, None if straight_up else model.takeoff_distance_m(0.0, home[2]))
         end = ending(vehicle)
+        self._check_level(_Spot(home_what, home), limits)
         if straight_up and end == "land":
             self._check_landing(route[-1], margins)
-        above_home = np.array([x, y, model.return_alt_amsl_m(route[-1].position_m[2], home[2])])
-        if end == "rtl":
-            self._check_return(_named(index, vehicle, "end"), route[-1].position_m, above_home, margins, straight_up)
+            self._check_level(route[-1], limits)
         if not straight_up:
+            above_home = np.array([x, y, model.return_alt_amsl_m(route[-1].position_m[2], home[2])])
             circled = route[-1] if end == "loiter" else _Spot(home_what, above_home)
             self._check_circle(circled, model.loiter_radius_m, margins)
         return VehicleTask(
@@ -401,6 +429,21 @@ class _Builder:
             end=end,
             limits=limits,
             motion=model,
+        )
+
+    def _task_without_route(self, index: int, vehicle: mission.Vehicle) -> VehicleTask:
+        home_place = vehicle.home or vehicle.start
+        assert home_place is not None
+        what = _named(index, vehicle, "home" if vehicle.home is not None else "start")
+        x, y = self._xy(home_place, what)
+        return VehicleTask(
+            name=vehicle.name,
+            sysid=vehicle.sysid or index + 1,
+            home_m=np.array([x, y, self._terrain.ground_amsl_m(x, y, what)]),
+            route_m=np.empty((0, 3)),
+            end=ending(vehicle),
+            limits=self._limits(vehicle),
+            motion=motion_model(vehicle),
         )
 
     def _limits(self, vehicle: mission.Vehicle) -> VehicleLimits:
@@ -455,8 +498,9 @@ class _Builder:
         if height < lowest - _TOLERANCE_M:
             got = f"{-height:.1f} m below it" if height < 0 else f"{height:.1f} m"
             raise MissionError(
-                f"{spot.what}: expected at least {lowest:.1f} m above the ground (terrain margin and tracking error), "
-                f"got {got} (ground {ground:.1f} m, altitude {z:.1f} m AMSL): raise it by {lowest - height:.1f} m"
+                f"{spot.what}: expected at least {lowest:.1f} m above the ground (safety.terrain_m and the radius of "
+                f"its tube), got {got} (ground {ground:.1f} m, altitude {z:.1f} m AMSL): raise it by "
+                f"{lowest - height:.1f} m"
             )
         for what, value, most in (
             ("m above the ground", height, margins.height_agl_max_m),
@@ -464,7 +508,7 @@ class _Builder:
         ):
             if value > most + _TOLERANCE_M:
                 raise MissionError(
-                    f"{spot.what}: expected at most {most:.1f} {what} (upper limit less tracking error), got "
+                    f"{spot.what}: expected at most {most:.1f} {what} (upper limit less the radius of its tube), got "
                     f"{value:.1f}: lower it by {value - most:.1f} m"
                 )
         self._check_leg(spot.what, spot.position_m, spot.position_m, margins)
@@ -491,20 +535,15 @@ class _Builder:
                 "the climb: move home, or lower takeoff_height_m"
             )
 
-    def _check_return(
-        self, what: str, goal: FloatArray, above_home: FloatArray, margins: Margins, climbs_first: bool
-    ) -> None:
-        """Check the way home, which is the autopilot's and straight: nobody plans a way around what stands there."""
-        what = f"{what}, the straight way home"
-        turn = np.array([goal[0], goal[1], above_home[2]]) if climbs_first else goal
-        self._check_leg(what, goal, turn, margins)
-        self._check_leg(what, turn, above_home, margins)
-        row = kernels.legs_clearance(self._space, np.array([[turn, above_home]]), _STEP_M)[0]
-        height, need = float(row[kernels.HEIGHT_MIN]), margins.height_agl_min_m
-        if not height >= need - _TOLERANCE_M:
+    def _check_level(self, spot: _Spot, limits: VehicleLimits) -> None:
+        """Check that one can land there, in an emergency too."""
+        slope = float(steepest(self._terrain.arrays, spot.position_m[0], spot.position_m[1], limits.tube_m))
+        steep_deg, most_deg = math.degrees(math.atan(slope)), math.degrees(limits.landing_slope_rad)
+        if not steep_deg <= most_deg:
             raise MissionError(
-                f"{what}: expected at least {need:.1f} m above the ground (terrain margin and tracking error), got "
-                f"{height:.1f} m at {above_home[2]:.0f} m AMSL: end with land or loiter, or move the goal"
+                f"{spot.what}: expected ground of at most {most_deg:g} degrees to land on "
+                f"(safety.landing_slope_max_deg), got up to {steep_deg:.1f} degrees within {limits.tube_m:g} m: "
+                "move it to level ground"
             )
 
     def _check_circle(self, center: _Spot, radius_m: float, margins: Margins) -> None:
@@ -526,16 +565,16 @@ class _Builder:
             name = self._obstacles.names[int(row[kernels.OBSTACLE_INDEX])]
             got = f"{-distance:.1f} m inside it" if distance < 0 else f"{distance:.1f} m"
             raise MissionError(
-                f"{what}: expected at least {need:.1f} m from obstacle {name} (safety.obstacle_m and tracking error), "
-                f"got {got}: move it {need - distance:.1f} m away"
+                f"{what}: expected at least {need:.1f} m from obstacle {name} (safety.obstacle_m and the radius of its "
+                f"tube), got {got}: move it {need - distance:.1f} m away"
             )
         inside, need = float(row[kernels.FENCE]), margins.fence_m
         if inside < need - _TOLERANCE_M:
             border = "fence" if self._mission.fence is not None else "area"
             got = f"{-inside:.1f} m outside" if inside < 0 else f"{inside:.1f} m"
             raise MissionError(
-                f"{what}: expected at least {need:.1f} m inside the {border} (safety.obstacle_m and tracking error), "
-                f"got {got}: move it, or widen the {border}"
+                f"{what}: expected at least {need:.1f} m inside the {border} (safety.obstacle_m and the radius of its "
+                f"tube), got {got}: move it, or widen the {border}"
             )
 
     def _check_no_void(self, start: _Spot, end: _Spot) -> None:
@@ -562,14 +601,14 @@ class _Builder:
                 got = "the same place" if distance < 0.01 else f"{distance:.1f} m"
                 raise MissionError(
                     f"{_named(j, vehicles[j], field)}: expected at least {max(need, 0.01):g} m from the {field} of "
-                    f"{_named(i, vehicles[i])} (fleet.separation_m and both tracking errors), got {got}: move one of "
+                    f"{_named(i, vehicles[i])} (fleet.separation_m and both vehicles' errors), got {got}: move one of "
                     "them"
                 )
 
         starts = [self._position(v.start, _named(i, v, "start")) if v.start else None for i, v in enumerate(vehicles)]
         for (i, a), (j, b) in itertools.combinations(enumerate(tasks), 2):
             start_a, start_b = starts[i], starts[j]
-            separation_m = self._mission.fleet.separation_m + a.limits.tracking_error_m + b.limits.tracking_error_m
+            separation_m = self._mission.fleet.separation_m + a.off_prediction_m + b.off_prediction_m
             if start_a is not None and start_b is not None:
                 check(i, j, "start", float(np.linalg.norm(start_a - start_b)), 0.0)
             check(i, j, "home", _apart_across_m(a.home_m, b.home_m), separation_m)

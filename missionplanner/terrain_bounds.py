@@ -213,10 +213,8 @@ def _low_point(
     at[0] = x + across * gx
     at[1] = y + across * gy
     at[2] = z - sign * down
-    there = kernels.terrain_height(t, at[0], at[1])
-    if math.isnan(there):
-        return -np.inf
-    return sign * (at[2] - there)
+    height: float = sign * (at[2] - kernels.terrain_height(t, at[0], at[1]))
+    return -np.inf if math.isnan(height) else height
 
 
 @kernel

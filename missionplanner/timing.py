@@ -35,8 +35,9 @@ def predict_flight(
     model: MotionModel,
     home_m: npt.ArrayLike,
     waypoints_m: npt.ArrayLike,
-    speed_m_s: float,
+    speed_m_s: npt.ArrayLike,
     *,
+    hold_s: npt.ArrayLike | None = None,
     end: Ending = "loiter",
     ground_amsl_m: float = 0.0,
     start_delay_s: float = 0.0,
@@ -44,12 +45,14 @@ def predict_flight(
 ) -> tuple[Trajectory, FloatArray]:
     """Return the whole flight and the times (W,) at which ``waypoints_m`` (W, 3) are reached, both with the delay.
 
-    From rest at ``home_m`` (3,) up to the first waypoint, along the legs at one speed, then the end. Arrival is the
-    last waypoint's time. A vehicle that stays in the air at its end is followed until it has settled there (a plane:
+    From rest at ``home_m`` (3,) up to the first waypoint, along the legs, then the end. Arrival is the last waypoint's
+    time. A vehicle that stays in the air at its end is followed until it has settled there (a plane:
     has circled twice), and at least until ``until_s``.
 
     Parameters
     ----------
+    speed_m_s : of all legs, or of each leg (W - 1,)
+    hold_s : how long it stands still at each waypoint but the first (W - 1,); default: nowhere
     ground_amsl_m : the ground under the last waypoint, for ``end="land"``
     start_delay_s : time at home before the start
     until_s : time up to which the flight is of interest; one that has landed stays where it is anyway
@@ -57,14 +60,15 @@ def predict_flight(
     home = np.asarray(home_m, dtype=float)
     waypoints = np.asarray(waypoints_m, dtype=float).reshape(-1, 3)
     navigator = Navigator([model], home[None])
-    parts, reached_s = _outbound(navigator, model, home, waypoints, speed_m_s)
+    parts, reached_s = _outbound(navigator, model, home, waypoints, speed_m_s, hold_s)
+    last_m_s = float(np.ravel(speed_m_s)[-1])
     match end:
         case "land":
-            way = landing_points(model, waypoints[-1], ground_amsl_m, speed_m_s)
+            way = landing_points(model, waypoints[-1], ground_amsl_m, last_m_s)
         case "rtl":
             way = return_points(model, navigator.position_m[0], home)
         case "loiter":
-            way = Route.through(waypoints[-1:], speed_m_s)
+            way = Route.through(waypoints[-1:], last_m_s)
     parts.append(navigator.fly(way)[0])
     if end == "loiter" or (end == "rtl" and model.vehicle_class == "plane"):
         flown_s = start_delay_s + sum(float(part.t_s[-1]) for part in parts)
@@ -86,14 +90,19 @@ def _settling_s(model: MotionModel, speed_m_s: float) -> float:
 
 
 def _outbound(
-    navigator: Navigator, model: MotionModel, home: FloatArray, waypoints: FloatArray, speed_m_s: float
+    navigator: Navigator,
+    model: MotionModel,
+    home: FloatArray,
+    waypoints: FloatArray,
+    speed_m_s: npt.ArrayLike,
+    hold_s: npt.ArrayLike | None = None,
 ) -> tuple[list[Trajectory], FloatArray]:
     """Fly take-off and legs; return their trajectories and when the waypoints were reached, without delay."""
     takeoff, times = navigator.fly(takeoff_points(model, home, waypoints[0]))
     parts = [takeoff]
     reached_s = times[-1:]
     if len(waypoints) > 1:
-        legs, times = navigator.fly(Route.through(waypoints[1:], speed_m_s))
+        legs, times = navigator.fly(Route.through(waypoints[1:], speed_m_s, hold_s))
         parts.append(legs)
         reached_s = np.concatenate([reached_s, float(takeoff.t_s[-1]) + times])
     return parts, reached_s

@@ -49,5 +49,6 @@ def fly(scene: Scene, plan: FleetPlan) -> FleetFlight:
         link.connect()
         link.upload()
         link.verify()
+        link.set_returns()
         link.start()
         return link.watch()

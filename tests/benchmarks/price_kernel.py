@@ -19,23 +19,10 @@ from missionplanner.kernels import SpaceArrays, TerrainArrays, terrain_heights
 from missionplanner.mission import Weights
 from missionplanner.obstacles import CableSolid, CylinderSolid, PrismSolid, Solid, SphereSolid, pack
 from missionplanner.path import basis, evenly, uniform_knots
-from missionplanner.vehicle import VehicleLimits
+from tests.limits import limits
 from tests.oracles.price import price_terms
 
-LIMITS = VehicleLimits(
-    speed_min_m_s=3.0,
-    speed_max_m_s=10.0,
-    climb_angle_rad=math.radians(45.0),
-    descent_angle_rad=math.radians(45.0),
-    turn_radius_m=0.0,
-    turn_angle_rad=math.pi,
-    terrain_margin_m=20.0,
-    obstacle_margin_m=10.0,
-    tracking_error_m=2.0,
-    height_agl_max_m=300.0,
-    alt_amsl_max_m=math.inf,
-    endurance_s=math.inf,
-)
+LIMITS = limits(height_agl_max_m=300.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

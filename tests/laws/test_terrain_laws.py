@@ -11,8 +11,8 @@ from hypothesis.extra.numpy import arrays
 
 from missionplanner.geodesy import LocalFrame
 from missionplanner.kernels import TerrainArrays
-from missionplanner.terrain_bounds import pyramid
 from missionplanner.terrain import GridReference, Rectangle, Terrain, peaks_terrain, read_raster, write_raster
+from missionplanner.terrain_bounds import pyramid
 from tests.oracles.surface import surface_amsl_m
 
 HEIGHTS = arrays(np.float32, (9, 11), elements=st.floats(0, 3000, width=32))

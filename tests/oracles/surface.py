@@ -42,7 +42,7 @@ def surface_amsl_m(path: Path, frame: LocalFrame, x_m: float, y_m: float) -> flo
 
 
 def bicubic(heights: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Return the interpolated heights (N,) at fractional rows and columns; NaN where any of 16 neighbours is missing."""
+    """Return the heights (N,) at fractional rows and columns; NaN where any of 16 neighbours is missing."""
     kernel = np.vectorize(keys_kernel, otypes=[float])
     top, left = np.floor(row).astype(int), np.floor(column).astype(int)
     padded = np.pad(heights, 3, constant_values=np.nan)

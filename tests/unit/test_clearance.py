@@ -6,23 +6,10 @@ import numpy as np
 import pytest
 
 from missionplanner.clearance import Margins, legs_clear, legs_within_angles, polyline_legs
-from missionplanner.vehicle import VehicleLimits
+from tests.limits import limits
 from tests.scenes import at, copter, question, scene_of
 
-LIMITS = VehicleLimits(
-    speed_min_m_s=3.0,
-    speed_max_m_s=10.0,
-    climb_angle_rad=math.radians(30),
-    descent_angle_rad=math.radians(45),
-    turn_radius_m=0.0,
-    turn_angle_rad=math.pi,
-    terrain_margin_m=20.0,
-    obstacle_margin_m=10.0,
-    tracking_error_m=2.0,
-    height_agl_max_m=120.0,
-    alt_amsl_max_m=500.0,
-    endurance_s=math.inf,
-)
+LIMITS = limits(climb_angle_rad=math.radians(30), height_agl_max_m=120.0, alt_amsl_max_m=500.0)
 
 
 def test_margins_are_safety_distance_and_tracking_error() -> None:

@@ -12,24 +12,11 @@ from missionplanner.kernels import SpaceArrays, TerrainArrays
 from missionplanner.mission import Weights
 from missionplanner.obstacles import CableSolid, ConeSolid, CylinderSolid, PrismSolid, SphereSolid, pack
 from missionplanner.scene import Towers
-from missionplanner.vehicle import VehicleLimits
 from tests.benchmarks.price_kernel import mountain_case
+from tests.limits import limits
 from tests.oracles.price import price_terms
 
-LIMITS = VehicleLimits(
-    speed_min_m_s=3.0,
-    speed_max_m_s=10.0,
-    climb_angle_rad=math.radians(45.0),
-    descent_angle_rad=math.radians(45.0),
-    turn_radius_m=0.0,
-    turn_angle_rad=math.pi,
-    terrain_margin_m=18.0,
-    obstacle_margin_m=8.0,
-    tracking_error_m=2.0,
-    height_agl_max_m=122.0,
-    alt_amsl_max_m=math.inf,
-    endurance_s=math.inf,
-)
+LIMITS = limits(terrain_margin_m=18.0, obstacle_margin_m=8.0, height_agl_max_m=122.0)
 """The path itself keeps 20 m above ground, 10 m from obstacles and fence, and stays below 120 m above ground."""
 
 SQUARE = np.array([[-500.0, -500.0], [500.0, -500.0], [500.0, 500.0], [-500.0, 500.0]])

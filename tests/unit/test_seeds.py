@@ -15,6 +15,7 @@ from missionplanner.obstacles import CableSolid, CylinderSolid, PrismSolid, Soli
 from missionplanner.scene import build_scene
 from missionplanner.seeds import first_guesses
 from missionplanner.vehicle import VehicleLimits
+from tests import limits as test_limits
 
 CYLINDERS = [  # PAPER.md section 6
     *((10, 35, 5), (100, 150, 10), (150, 360, 10), (210, 100, 10), (300, 160, 20), (390, 200, 15), (390, 350, 15)),
@@ -32,19 +33,13 @@ def limits(
     agl_max_m: float = math.inf,
     alt_max_m: float = math.inf,
 ) -> VehicleLimits:
-    return VehicleLimits(
-        speed_min_m_s=3.0,
-        speed_max_m_s=10.0,
+    return test_limits.limits(
         climb_angle_rad=math.radians(angle_deg),
         descent_angle_rad=math.radians(angle_deg if descent_deg is None else descent_deg),
-        turn_radius_m=0.0,
-        turn_angle_rad=math.pi,
-        terrain_margin_m=20.0,
         obstacle_margin_m=margin_m,
         tracking_error_m=0.0,
         height_agl_max_m=agl_max_m,
         alt_amsl_max_m=alt_max_m,
-        endurance_s=math.inf,
     )
 
 

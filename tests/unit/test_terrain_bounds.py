@@ -94,7 +94,7 @@ def test_a_triangle_is_bounded_over_its_whole_inside() -> None:
     height = least_height(t, pyramid(t, 1000.0), inside, 2.0, 1.0, math.inf, -math.inf, at)
     assert 17.0 < height <= 18.0
     assert at[:2] == pytest.approx([50.0, 50.0], abs=4.0)
-    outside = inside + [0.0, -300.0, 0.0]
+    outside = inside + np.array([0.0, -300.0, 0.0])
     assert least_height(t, pyramid(t, 1000.0), outside, 2.0, 1.0, math.inf, -math.inf, at) == pytest.approx(
         48.0, abs=0.01
     )
