@@ -12,8 +12,8 @@ from missionplanner.motion import TICK_S, Navigator, Route, landing_points, pred
 from missionplanner.vehicle import MotionModel
 
 COPTER = MotionModel("ardupilot", "copter", 2.5, 1.0, 2.5, 1.5, 2.0, 0.0)
-PX4 = MotionModel("px4", "copter", 3.0, 4.0, 3.0, 1.5, 2.0, 0.0)
-PLANE = MotionModel("ardupilot", "plane", 1.5, 1.0, 5.0, 5.0, 50.0, 60.0)
+PX4 = MotionModel("px4", "copter", 3.0, 4.0, 3.0, 1.5, 2.0, 0.0, return_height_m=60.0)
+PLANE = MotionModel("ardupilot", "plane", 1.5, 1.0, 5.0, 5.0, 50.0, 60.0, return_height_m=100.0)
 ALL = [pytest.param(COPTER, id="arducopter"), pytest.param(PX4, id="px4"), pytest.param(PLANE, id="plane")]
 COPTERS = ALL[:2]
 
@@ -104,10 +104,11 @@ def test_landing_from_below_the_slow_height_has_one_leg() -> None:
 
 @pytest.mark.parametrize("model", COPTERS)
 def test_return_climbs_first_and_ends_at_home(model: MotionModel) -> None:
-    flight, _ = predict(model, [80, 0, 105], *return_points(model, [80, 0, 105], [0, 0, 100]))
-    climb = {"ardupilot": 15.0, "px4": 60.0}[model.autopilot]
-    assert flight.position_m[:, 2].max() == pytest.approx(100.0 + climb, abs=0.9)
-    assert flight.position_m[-1] == pytest.approx([0, 0, 100], abs=0.7)
+    for climb_m in (model.return_height_m, 33.0):  # the autopilot's own, and one that is set
+        set_so = replace(model, return_height_m=climb_m)
+        flight, _ = predict(set_so, [80, 0, 105], *return_points(set_so, [80, 0, 105], [0, 0, 100]))
+        assert flight.position_m[:, 2].max() == pytest.approx(100.0 + climb_m, abs=0.9)
+        assert flight.position_m[-1] == pytest.approx([0, 0, 100], abs=0.7)
 
 
 @pytest.mark.parametrize("model", ALL)

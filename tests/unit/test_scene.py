@@ -13,7 +13,7 @@ import pytest
 from missionplanner import kernels
 from missionplanner.errors import MissionError
 from missionplanner.mission import Mission, parse_mission
-from missionplanner.scene import TERRAIN_NAME, Scene, build_scene, portable_mission
+from missionplanner.scene import TERRAIN_NAME, Scene, build_check_scene, build_scene, portable_mission
 from missionplanner.terrain import write_raster
 from tests.rasters import AREA, FRAME, hill, hill_in, write_tif
 
@@ -82,18 +82,18 @@ def test_places_in_degrees_are_those_in_metres() -> None:
 
 def test_a_copter_climbs_straight_up_first() -> None:
     (task,) = scene_of(flying({})).tasks
-    assert task.route_m[0].tolist() == pytest.approx([0, 0, 132])  # margin 20, tracking 2, and room 10
+    assert task.route_m[0].tolist() == pytest.approx([0, 0, 135])  # margin 20, tube 2 + 1 + 2, and room 10
     (task,) = scene_of(flying({"takeoff_height_m": 60})).tasks
     assert task.route_m[0].tolist() == pytest.approx([0, 0, 160])
-    (task,) = scene_of(flying({"height_agl_max_m": 30, "goal": at(500, 0, agl=25)})).tasks
-    assert task.route_m[0].tolist() == pytest.approx([0, 0, 128])
+    (task,) = scene_of(flying({"height_agl_max_m": 35, "goal": at(500, 0, agl=27)})).tasks
+    assert task.route_m[0].tolist() == pytest.approx([0, 0, 130])
 
 
 def test_a_start_above_home_is_the_top_of_the_take_off_and_another_is_flown_to() -> None:
     (above,) = scene_of(flying({"home": at(0.5, 0), "start": at(0, 0, 155)})).tasks
     assert above.route_m.tolist() == [[0, 0, 155], [500, 0, 150]]
     (away,) = scene_of(flying({"start": at(30, 0, 155)})).tasks
-    assert away.route_m.tolist() == pytest.approx(np.array([[0, 0, 132], [30, 0, 155], [500, 0, 150]]))
+    assert away.route_m.tolist() == pytest.approx(np.array([[0, 0, 135], [30, 0, 155], [500, 0, 150]]))
     data = flying({"start": at(30, 0, 155)})
     del data["vehicles"][0]["home"]
     (below,) = scene_of(data).tasks
@@ -126,7 +126,8 @@ def test_a_plane_climbs_towards_its_first_point() -> None:
     (task,) = scene_of(flying(plane)).tasks
     assert task.route_m[0].tolist() == pytest.approx([50 / math.tan(math.radians(10)), 0, 150])
     assert task.end == "loiter"
-    (task,) = scene_of(flying({**plane, "home": at(500, 0)})).tasks  # straight below its goal
+    wide = {"south_west": at(-300, -300), "north_east": at(800, 400)}
+    (task,) = scene_of(flying({**plane, "home": at(500, 0)}, area=wide)).tasks  # straight below its goal
     assert task.route_m[0, 1] == pytest.approx(50 / math.tan(math.radians(10)))
     (task,) = scene_of(flying({**plane, "climb": {"rate_m_s": 3}})).tasks  # rolls, then climbs as steeply as it can
     assert task.route_m[0, 0] == pytest.approx(17.6**2 / 10 + (50 / 3 + 0.5) * 22, rel=0.02)
@@ -137,9 +138,9 @@ def test_a_planes_circle_must_be_clear() -> None:
     mast = {"kind": "cylinder", "name": "mast", "center": at(500, 65), "radius_m": 3}
     problem = problem_of(flying(plane, obstacles=[mast]))
     assert (
-        "goal (v0), the circle of 60 m radius on which it stays: expected at least 12.0 m from obstacle mast" in problem
+        "goal (v0), the circle of 60 m radius on which it stays: expected at least 23.0 m from obstacle mast" in problem
     )
-    scene_of(flying({**plane, "motion": {"loiter_radius_m": 90}}, obstacles=[mast]))
+    scene_of(flying({**plane, "motion": {"loiter_radius_m": 95}}, obstacles=[mast]))
     home_mast = {**mast, "center": at(60, 0), "top_height_agl_m": 120}
     scene_of(flying({**plane, "home": at(0, 300)}, obstacles=[{**home_mast, "center": at(60, 300)}]))
     returning = {**plane, "home": at(0, 300), "end": "rtl"}
@@ -147,27 +148,14 @@ def test_a_planes_circle_must_be_clear() -> None:
     assert "home (v0), the circle of 60 m radius on which it stays" in problem
 
 
-def test_the_way_home_must_be_clear() -> None:
-    mast = {"kind": "cylinder", "name": "mast", "center": at(300, 0), "radius_m": 5, "top_height_agl_m": 90}
-    far = {"stops": [at(300, 80, agl=50)], "end": "rtl"}
-    problem = problem_of(flying(far, obstacles=[mast]))
-    assert "end (v0), the straight way home: expected at least 12.0 m from obstacle mast" in problem
-    scene_of(flying({**far, "end": "land"}, obstacles=[mast]))
-    scene_of(flying({**far, "autopilot": "px4"}, obstacles=[{**mast, "top_height_agl_m": 45}]))  # it climbs first
-    hill_between = {"kind": "peaks", "base_alt_amsl_m": 100, "peaks": [{**at(300, 0), "height_m": 30, "spread_m": 60}]}
-    problem = problem_of(flying({"goal": at(900, 0, 140), "end": "rtl"}, terrain=hill_between))
-    assert "the straight way home: expected at least 22.0 m above the ground" in problem
-    scene_of(flying({"goal": at(900, 0, 155), "end": "rtl"}, terrain=hill_between))
-
-
 def test_circling_planes_stay_apart() -> None:
     first = {"class": "plane", "goal": at(600, 0, agl=60)}
     second = {"class": "plane", "home": at(0, 200), "goal": at(600, 130, agl=60)}
     problem = problem_of(flying(first, second))
-    assert "(v1): expected to stay at its end at least 24 m from" in problem
+    assert "(v1): expected to stay at its end at least 46 m from" in problem  # 20 and twice 13
     assert "got 10.0 m" in problem
-    scene_of(flying(first, {**second, "goal": at(600, 145, agl=60)}))
-    scene_of(flying(first, {**second, "goal": at(600, 130, agl=85)}))
+    scene_of(flying(first, {**second, "goal": at(600, 167, agl=60)}))
+    scene_of(flying(first, {**second, "goal": at(600, 130, agl=105)}))
     assert "circles of planes included" in problem_of(flying(first, {"home": at(0, 200), "goal": at(600, 70, agl=50)}))
     both_home = ({**first, "end": "rtl"}, {**second, "end": "rtl", "home": at(0, 130)})
     assert "circles of planes included" in problem_of(flying(*both_home))
@@ -227,7 +215,8 @@ def test_the_area_holds_everything_with_room_around() -> None:
 def test_the_area_ends_with_the_terrain(tmp_path: Path) -> None:
     hill_in(tmp_path / "hill.tif", "EPSG:32612", 10.0, room=-300.0)
     data = question(terrain={"kind": "raster", "file": "hill.tif"})
-    data["vehicles"] = [{"name": "a", "home": at(-300, 0), "goal": at(300, 0, agl=50)}]
+    steep = {"safety": {"landing_slope_max_deg": 20}}
+    data["vehicles"] = [{"name": "a", "home": at(-300, 0), "goal": at(300, 0, agl=50), **steep}]
     data["obstacles"] = [{**MAST, "center": at(0, 5000), "radius_m": 50}]
     scene = scene_of(data, tmp_path)
     west, south, east, north = scene.area_m
@@ -246,22 +235,22 @@ def test_the_area_ends_with_the_terrain(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("vehicle", "problem"),
     [
-        ({"start": at(0, 0, 90)}, "vehicles[0].start (v0): expected at least 22.0 m above the ground (terrain margin "
-         "and tracking error), got 10.0 m below it (ground 100.0 m, altitude 90.0 m AMSL): raise it by 32.0 m"),
-        ({"start": at(0, 0, 121)}, "got 21.0 m (ground 100.0 m, altitude 121.0 m AMSL): raise it by 1.0 m"),
-        ({"goal": at(500, 0, agl=-5)}, "vehicles[0].goal (v0): expected at least 22.0 m above the ground"),
-        ({"stops": [at(9, 9, agl=50), at(300, 9, agl=5)]}, "vehicles[0].stops[1] (v0): expected at least 22.0 m above"),
-        ({"takeoff_height_m": 10}, "vehicles[0].home (v0), top of the take-off: expected at least 22.0 m above the"),
-        ({"height_agl_max_m": 40}, "vehicles[0].goal (v0): expected at most 38.0 m above the ground (upper limit less"),
-        ({"alt_amsl_max_m": 140}, "vehicles[0].goal (v0): expected at most 138.0 m AMSL (upper limit less tracking er"),
-        ({"goal": at(200, 0, 150)}, "vehicles[0].goal (v0): expected at least 12.0 m from obstacle mast (safety."),
-        ({"goal": at(200, 0, 150)}, "got 5.0 m inside it: move it 17.0 m away"),
-        ({"start": at(190, 0, 150)}, "vehicles[0].start (v0): expected at least 12.0 m from obstacle mast (safety.obs"),
-        ({"start": at(190, 0, 150)}, "got 5.0 m: move it 7.0 m away"),
-        ({"stops": [at(200, 0, 150)]}, "vehicles[0].stops[0] (v0): expected at least 12.0 m from obstacle mast"),
+        ({"start": at(0, 0, 90)}, "vehicles[0].start (v0): expected at least 25.0 m above the ground (safety.terrain_m "
+         "and the radius of its tube), got 10.0 m below it (ground 100.0 m, altitude 90.0 m AMSL): raise it by 35.0 m"),
+        ({"start": at(0, 0, 124)}, "got 24.0 m (ground 100.0 m, altitude 124.0 m AMSL): raise it by 1.0 m"),
+        ({"goal": at(500, 0, agl=-5)}, "vehicles[0].goal (v0): expected at least 25.0 m above the ground"),
+        ({"stops": [at(9, 9, agl=50), at(300, 9, agl=5)]}, "vehicles[0].stops[1] (v0): expected at least 25.0 m above"),
+        ({"takeoff_height_m": 10}, "vehicles[0].home (v0), top of the take-off: expected at least 25.0 m above the"),
+        ({"height_agl_max_m": 40}, "vehicles[0].goal (v0): expected at most 35.0 m above the ground (upper limit less"),
+        ({"alt_amsl_max_m": 140}, "vehicles[0].goal (v0): expected at most 135.0 m AMSL (upper limit less the radius "),
+        ({"goal": at(200, 0, 150)}, "vehicles[0].goal (v0): expected at least 15.0 m from obstacle mast (safety."),
+        ({"goal": at(200, 0, 150)}, "got 5.0 m inside it: move it 20.0 m away"),
+        ({"start": at(190, 0, 150)}, "vehicles[0].start (v0): expected at least 15.0 m from obstacle mast (safety.obs"),
+        ({"start": at(190, 0, 150)}, "got 5.0 m: move it 10.0 m away"),
+        ({"stops": [at(200, 0, 150)]}, "vehicles[0].stops[0] (v0): expected at least 15.0 m from obstacle mast"),
         ({"home": at(203, 0), "goal": at(400, 0, agl=30)}, "vehicles[0].home (v0), top of the take-off: expected at "),
-        ({"goal": at(500, 0, 100), "safety": {"terrain_m": 0}, "tracking_error_m": 0, "home": at(500, 0),
-          "start": at(500, 0, 100.5)}, "vehicles[0].goal (v0): expected a place at least 1.0 m from the one before it, "
+        ({"goal": at(500, 0, 150), "home": at(500, 0), "start": at(500, 0, 150.5)},
+         "vehicles[0].goal (v0): expected a place at least 1.0 m from the one before it, "
          "got that of vehicles[0].start (v0): remove one"),
         ({"goal": at(1e6, 0, 150)}, "vehicles[0].goal (v0): expected a place within 100 km of the origin, got one 10"),
         ({"home": {"lat_deg": -34.35, "lon_deg": -118.2}}, "vehicles[0].home (v0): expected a place within 100 km"),
@@ -275,12 +264,12 @@ def test_the_climb_and_the_descent_must_be_clear_too() -> None:
     cable = {"kind": "cable", "name": "wire", "start": at(-50, 0, 115), "end": at(50, 0, 115)}
     problem = problem_of(flying({"takeoff_height_m": 60}, obstacles=[cable]))
     assert problem.startswith(
-        "vehicles[0].home (v0), top of the take-off, the climb to it from home: expected at least 12"
+        "vehicles[0].home (v0), top of the take-off, the climb to it from home: expected at least 15"
     )
     cable = {"kind": "cable", "name": "wire", "start": at(450, 0, 115), "end": at(550, 0, 115)}
     problem = problem_of(flying({}, obstacles=[cable]))
     assert problem.startswith(
-        "vehicles[0].goal (v0), the descent to the ground: expected at least 12.0 m from obstacle w"
+        "vehicles[0].goal (v0), the descent to the ground: expected at least 15.0 m from obstacle w"
     )
     scene_of(flying({"end": "rtl"}, obstacles=[cable]))
 
@@ -294,13 +283,13 @@ def test_a_soft_zone_may_be_entered() -> None:
 def test_places_outside_the_fence_or_the_area_are_named() -> None:
     fence = {"polygon": SQUARE}
     problem = problem_of(flying({"goal": at(710, 0, 150)}, fence=fence))
-    assert "vehicles[0].goal (v0): expected at least 12.0 m inside the fence" in problem
+    assert "vehicles[0].goal (v0): expected at least 15.0 m inside the fence" in problem
     assert "got 10.0 m outside: move it, or widen the fence" in problem
     assert "got 8.0 m: move it" in problem_of(flying({"stops": [at(600, 292, 150)]}, fence=fence))
     assert "vehicles[0].home (v0)" in problem_of(flying({"home": at(-95, 0)}, fence=fence))
     assert "inside the fence" in problem_of(flying({"goal": at(500, 0, 199)}, fence={**fence, "top_alt_amsl_m": 200}))
     area = {"south_west": at(-100, -200), "north_east": at(450, 400)}
-    assert "vehicles[0].goal (v0): expected at least 12.0 m inside the area" in problem_of(flying({}, area=area))
+    assert "vehicles[0].goal (v0): expected at least 15.0 m inside the area" in problem_of(flying({}, area=area))
     area = {"south_west": at(900, -200), "north_east": at(-100, 400)}
     assert problem_of(flying({}, area=area)).startswith("area: expected south_west to lie south and west of north_east")
 
@@ -320,7 +309,7 @@ def test_a_stand_off_below_the_margins_is_told_with_its_tower() -> None:
         inspection={"towers": [{"name": "T1", **at(100, 100)}, {"name": "T2", **at(250, 100)}], "standoff_m": 15},
     )
     assert problem_of(data).startswith(
-        "inspection.towers[0] (T1), stop of vehicles[0] (v0): expected at least 12.0 m from obstacle span T1-T2"
+        "inspection.towers[0] (T1), stop of vehicles[0] (v0): expected at least 15.0 m from obstacle span T1-T2"
     )
 
 
@@ -330,15 +319,15 @@ def test_a_stand_off_below_the_margins_is_told_with_its_tower() -> None:
 @pytest.mark.parametrize(
     ("first", "second", "problem"),
     [
-        ({}, {"goal": at(500, 90, 150)}, "vehicles[1].home (v1): expected at least 24 m from the home of "
-         "vehicles[0] (v0) (fleet.separation_m and both tracking errors), got the same place: move one of them"),
-        ({}, {"home": at(0, 15), "goal": at(500, 90, 150)}, "vehicles[1].home (v1): expected at least 24 m from the "
-         "home of vehicles[0] (v0) (fleet.separation_m and both tracking errors), got 15.0 m"),
+        ({}, {"goal": at(500, 90, 150)}, "vehicles[1].home (v1): expected at least 26 m from the home of "
+         "vehicles[0] (v0) (fleet.separation_m and both vehicles' errors), got the same place: move one of them"),
+        ({}, {"home": at(0, 15), "goal": at(500, 90, 150)}, "vehicles[1].home (v1): expected at least 26 m from the "
+         "home of vehicles[0] (v0) (fleet.separation_m and both vehicles' errors), got 15.0 m"),
         ({"start": at(60, 0, 150)}, {"home": at(0, 90), "start": at(60, 0, 150), "goal": at(500, 90, 150)},
          "vehicles[1].start (v1): expected at least 0.01 m from the start of vehicles[0] (v0) (fleet.separation_m "),
-        ({}, {"home": at(0, 90)}, "vehicles[1].goal (v1): expected at least 24 m from the goal of vehicles[0] (v0)"),
-        ({}, {"home": at(0, 90), "goal": at(510, 0, 190)}, "vehicles[1].goal (v1): expected at least 24 m from the g"),
-        ({"end": "rtl"}, {"end": "rtl", "home": at(0, 90)}, "vehicles[1].goal (v1): expected at least 24 m from the "),
+        ({}, {"home": at(0, 90)}, "vehicles[1].goal (v1): expected at least 26 m from the goal of vehicles[0] (v0)"),
+        ({}, {"home": at(0, 90), "goal": at(510, 0, 190)}, "vehicles[1].goal (v1): expected at least 26 m from the g"),
+        ({"end": "rtl"}, {"end": "rtl", "home": at(0, 90)}, "vehicles[1].goal (v1): expected at least 26 m from the "),
     ],
 )  # fmt: skip
 def test_two_vehicles_need_two_places(first: dict[str, Any], second: dict[str, Any], problem: str) -> None:
@@ -357,7 +346,9 @@ def test_vehicles_that_never_meet_may_share_a_goal() -> None:
 def test_even_without_separation_no_two_homes_are_one() -> None:
     both = ({}, {"goal": at(500, 90, 150)})
     assert "the same place" in problem_of(flying(*both, fleet={"separation_m": 0}))
-    scene_of(flying({}, {"home": at(0, 5), "goal": at(500, 90, 150)}, fleet={"separation_m": 0}))
+    scene_of(flying({}, {"home": at(0, 6.1), "goal": at(500, 90, 150)}, fleet={"separation_m": 0}))
+    too_near = ({}, {"home": at(0, 5.9), "goal": at(500, 90, 150)})  # each may be 3 m off
+    assert "expected at least 6 m" in problem_of(flying(*too_near, fleet={"separation_m": 0}))
 
 
 # --- wrong terrain
@@ -426,9 +417,9 @@ def test_the_terrain_models_error_widens_the_margin(tmp_path: Path) -> None:
     hill_in(tmp_path / "hill.tif", "EPSG:32611", 10.0)
     (task,) = scene_of(on_the_hill(vertical_error_m=7), tmp_path).tasks
     assert task.limits.terrain_margin_m == 27
-    assert task.route_m[0, 2] - task.home_m[2] == pytest.approx(39)
+    assert task.route_m[0, 2] - task.home_m[2] == pytest.approx(42)
     problem = problem_of(on_the_hill({"goal": at(500, 0, agl=25)}, vertical_error_m=7), tmp_path)
-    assert "expected at least 29.0 m above the ground" in problem
+    assert "expected at least 32.0 m above the ground" in problem
 
 
 def test_a_planes_climb_out_must_outrun_the_ground(tmp_path: Path) -> None:
@@ -444,7 +435,60 @@ def test_a_planes_climb_out_must_outrun_the_ground(tmp_path: Path) -> None:
     plane = {"class": "plane", "home": at(0, 0), "goal": at(600, 0, agl=80), "takeoff_height_m": 60}
     problem = problem_of(on_the_hill(plane), tmp_path)
     assert "top of the take-off, the climb to it from home: expected the ground to fall behind" in problem
-    scene_of(on_the_hill({**plane, "climb": {"angle_max_deg": 35, "rate_m_s": 16}, "home": at(0, 0)}), tmp_path)
+    scene_of(on_the_hill({**plane, "climb": {"angle_max_deg": 45, "rate_m_s": 25}, "home": at(0, 0)}), tmp_path)
+
+
+def test_homes_and_landing_places_are_on_ground_to_land_on(tmp_path: Path) -> None:
+    hill_in(tmp_path / "hill.tif", "EPSG:32611", 10.0)
+    # the hill is 19.3 degrees steep at its middle, 10.1 at its sides, where the vehicles of other tests stand
+    problem = problem_of(on_the_hill({"home": at(0, 0)}), tmp_path)
+    assert problem.startswith("vehicles[0].home (a): expected ground of at most 15 degrees to land on (safety.landing")
+    assert "got up to 19." in problem
+    lands = {"goal": at(0, 0, agl=60)}
+    assert problem_of(on_the_hill(lands), tmp_path).startswith("vehicles[0].goal (a): expected ground of at most 15 d")
+    for elsewhere in ("rtl", "loiter"):
+        scene_of(on_the_hill({**lands, "end": elsewhere}), tmp_path)
+    scene_of(on_the_hill({**lands, "safety": {"landing_slope_max_deg": 20}}), tmp_path)
+    assert "at most 10 degrees" in problem_of(on_the_hill({"safety": {"landing_slope_max_deg": 10}}), tmp_path)
+    plane = {"class": "plane", "home": at(0, 0), "goal": at(-700, 0, agl=90)}
+    assert "vehicles[0].home (a): expected ground of at most 15" in problem_of(on_the_hill(plane), tmp_path)
+
+
+# --- judging flights that were not planned here
+
+
+def test_a_scene_for_checking_has_the_vehicles_limits_and_homes_but_no_routes() -> None:
+    # a start below the ground and a goal in an obstacle: they are not what is judged
+    data = flying({"start": at(0, 0, 90), "goal": at(200, 0, 150), "tracking_error_m": 4}, obstacles=[MAST])
+    with pytest.raises(MissionError):
+        scene_of(data)
+    places_deg = [(FRAME.origin_lat_deg, FRAME.origin_lon_deg + 0.05)]
+    scene = build_check_scene(Mission.model_validate(data), Path(), places_deg)
+    (task,) = scene.tasks
+    assert (task.name, task.sysid, task.end, task.route_m.shape) == ("v0", 1, "land", (0, 3))
+    assert task.home_m.tolist() == pytest.approx([0, 0, 100])
+    assert (task.limits.tracking_error_m, task.limits.tube_m) == (4, 7)
+    assert scene.obstacles.names == ("mast",)
+    # what is judged lies within the area
+    x, y, _ = scene.frame.to_local(*places_deg[0], 0.0)
+    west, south, east, north = scene.area_m
+    assert west < x < east
+    assert south < y < north
+    with pytest.raises(MissionError, match="expected a place within 100 km of the origin"):
+        build_check_scene(Mission.model_validate(data), Path(), [(0.0, 0.0)])
+
+
+def test_how_far_a_vehicle_may_be_from_its_predicted_flight() -> None:
+    copter, px4, plane = scene_of(
+        flying(
+            {"tracking_error_m": 1.5, "position_error_m": 0.5},
+            {"autopilot": "px4", "home": at(0, 50), "goal": at(500, 50, 150)},
+            {"class": "plane", "home": at(0, 150), "goal": at(500, 200, 160)},
+        )
+    ).tasks
+    assert copter.off_prediction_m == 2.0  # the corners it cuts are predicted
+    assert px4.off_prediction_m == 3.0
+    assert plane.off_prediction_m == 2.0 + 1.0 + 10.0
 
 
 # --- the whole as input of a plan

@@ -21,8 +21,8 @@ from missionplanner.timing import (
 from missionplanner.vehicle import Ending, MotionModel
 
 COPTER = MotionModel("ardupilot", "copter", 2.5, 1.0, 2.5, 1.5, 2.0, 0.0)
-PX4 = MotionModel("px4", "copter", 3.0, 4.0, 3.0, 1.5, 2.0, 0.0)
-PLANE = MotionModel("ardupilot", "plane", 1.5, 1.0, 5.0, 5.0, 50.0, 60.0)
+PX4 = MotionModel("px4", "copter", 3.0, 4.0, 3.0, 1.5, 2.0, 0.0, return_height_m=60.0)
+PLANE = MotionModel("ardupilot", "plane", 1.5, 1.0, 5.0, 5.0, 50.0, 60.0, return_height_m=100.0)
 HOME = [0.0, 0.0, 100.0]
 WAYPOINTS = np.array([[0, 0, 130], [150, 20, 140], [250, 120, 150], [240, 300, 140], [400, 420, 135]], dtype=float)
 
@@ -56,6 +56,14 @@ def test_return_ends_at_home() -> None:
     assert flight.position_m[-1] == pytest.approx(HOME, abs=0.2)
 
 
+def test_return_is_flown_at_the_height_that_is_set() -> None:
+    for height_m in (45.0, 90.0):
+        flight, reached_s = predict_flight(replace(COPTER, return_height_m=height_m), HOME, WAYPOINTS, 6.0, end="rtl")
+        way_home = flight.position_m[flight.t_s > reached_s[-1]]
+        midway = way_home[np.argmin(np.hypot(*(way_home[:, :2] - [200, 210]).T))]
+        assert midway[2] == pytest.approx(100.0 + height_m, abs=0.5)
+
+
 def test_a_plane_flies_its_legs() -> None:
     far = WAYPOINTS * [5, 5, 1] + [400, 0, 0]
     flight, reached_s = predict_flight(PLANE, HOME, far, 18.0)
@@ -78,6 +86,29 @@ def test_a_plane_takes_off_at_its_cruise_speed() -> None:
     assert slow[0] == fast[0]
     slower = replace(PLANE, cruise_speed_m_s=15.0)
     assert predict_flight(slower, HOME, far, 22.0)[1][0] != fast[0]
+
+
+@pytest.mark.parametrize("model", [COPTER, PX4], ids=["arducopter", "px4"])
+def test_every_leg_may_have_its_own_speed(model: MotionModel) -> None:
+    one, one_s = predict_flight(model, HOME, WAYPOINTS, 8.0, end="land", ground_amsl_m=95.0)
+    same, same_s = predict_flight(model, HOME, WAYPOINTS, [8.0] * 4, end="land", ground_amsl_m=95.0)
+    assert np.array_equal(one.position_m, same.position_m)
+    assert np.array_equal(one_s, same_s)
+    _, slower_s = predict_flight(model, HOME, WAYPOINTS, [8.0, 4.0, 8.0, 8.0])
+    legs_m = np.linalg.norm(np.diff(WAYPOINTS, axis=0), axis=1)
+    more_s = np.diff(slower_s) - np.diff(one_s)
+    assert more_s[1] == pytest.approx(legs_m[1] / 4 - legs_m[1] / 8, abs=7.0)
+    assert np.abs(more_s[[0, 3]]).max() < 3.0
+
+
+@pytest.mark.parametrize("model", [COPTER, PX4], ids=["arducopter", "px4"])
+def test_a_hold_is_a_stop_of_that_long_at_its_waypoint(model: MotionModel) -> None:
+    flight, reached_s = predict_flight(model, HOME, WAYPOINTS, 8.0, hold_s=[0.0, 9.0, 0.0, 0.0])
+    _, passing_s = predict_flight(model, HOME, WAYPOINTS, 8.0)
+    near = np.linalg.norm(flight.position_m - WAYPOINTS[2], axis=1) < model.waypoint_radius_m
+    assert np.count_nonzero(near) * np.diff(flight.t_s)[0] >= 9.0
+    assert reached_s[-1] - passing_s[-1] >= 9.0
+    assert reached_s[1] == pytest.approx(passing_s[1], abs=0.2)
 
 
 @pytest.mark.parametrize(("model", "end"), [(COPTER, "loiter"), (PLANE, "loiter"), (PLANE, "rtl")])

@@ -6,6 +6,7 @@ import pytest
 
 from missionplanner.mission import VehicleSettings
 from missionplanner.vehicle import ending, motion_model, vehicle_limits
+from tests.limits import limits as some_limits
 
 
 def settings(**fields: object) -> VehicleSettings:
@@ -55,7 +56,39 @@ def test_a_copter_is_unlimited_where_nothing_is_said() -> None:
     assert limits.climb_angle_rad == limits.descent_angle_rad == pytest.approx(math.radians(60))
     assert (limits.turn_radius_m, limits.turn_angle_rad) == (0.0, math.pi)
     assert (limits.terrain_margin_m, limits.obstacle_margin_m, limits.tracking_error_m) == (20.0, 10.0, 2.0)
+    assert (limits.position_error_m, math.degrees(limits.landing_slope_rad)) == (1.0, pytest.approx(15.0))
     assert limits.height_agl_max_m == limits.alt_amsl_max_m == limits.endurance_s == math.inf
+
+
+@pytest.mark.parametrize(
+    ("fields", "deviation_m"),
+    [
+        ({}, 2.0),  # ArduCopter stays inside its waypoint radius
+        ({"motion": {"waypoint_radius_m": 5}}, 5.0),
+        ({"autopilot": "px4"}, 2.5),  # PX4 overshoots it by a quarter
+        ({"autopilot": "px4", "motion": {"waypoint_radius_m": 4}}, 5.0),
+        ({"class": "plane"}, 10.0),  # of its predicted flight, whatever its radius
+        ({"class": "plane", "autopilot": "px4", "motion": {"waypoint_radius_m": 90}}, 10.0),
+    ],
+)
+def test_the_tube_is_all_that_a_vehicle_may_be_off(fields: dict[str, object], deviation_m: float) -> None:
+    limits = vehicle_limits(settings(tracking_error_m=3, position_error_m=0.5, **fields), vertical_error_m=4.0)
+    assert limits.deviation_m == pytest.approx(deviation_m)
+    assert limits.stray_m == 3.5
+    assert limits.tube_m == pytest.approx(3.5 + deviation_m)
+    assert some_limits(tracking_error_m=1.0, position_error_m=2.0, deviation_m=4.0).tube_m == 7.0
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "vehicle_class", "height_m"),
+    [("ardupilot", "copter", 15.0), ("px4", "copter", 60.0), ("ardupilot", "plane", 100.0), ("px4", "plane", 100.0)],
+)
+def test_who_is_not_told_how_high_to_return_returns_as_its_autopilot_does(
+    autopilot: str, vehicle_class: str, height_m: float
+) -> None:
+    fields = {"autopilot": autopilot, "class": vehicle_class}
+    assert motion_model(settings(**fields)).return_height_m == height_m
+    assert motion_model(settings(return_height_m=77, **fields)).return_height_m == 77.0
 
 
 def test_a_planes_defaults() -> None:
@@ -92,8 +125,9 @@ def test_what_the_mission_says_of_limits_holds() -> None:
             descent={"angle_max_deg": 30},
             turn_radius_m=0,
             turn_angle_max_deg=90,
-            safety={"terrain_m": 15, "obstacle_m": 0},
+            safety={"terrain_m": 15, "obstacle_m": 0, "landing_slope_max_deg": 8},
             tracking_error_m=0,
+            position_error_m=0,
             height_agl_max_m=120,
             alt_amsl_max_m=-3,
             endurance_s=600,
@@ -107,7 +141,8 @@ def test_what_the_mission_says_of_limits_holds() -> None:
     assert limits.turn_radius_m == 0  # said, so not the default of 60
     assert math.degrees(limits.turn_angle_rad) == pytest.approx(90)
     assert limits.terrain_margin_m == 19  # the terrain model's error comes on top
-    assert (limits.obstacle_margin_m, limits.tracking_error_m) == (0, 0)
+    assert (limits.obstacle_margin_m, limits.tracking_error_m, limits.position_error_m) == (0, 0, 0)
+    assert math.degrees(limits.landing_slope_rad) == pytest.approx(8)
     assert (limits.height_agl_max_m, limits.alt_amsl_max_m, limits.endurance_s) == (120, -3, 600)
 
 
