@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich import box
 from rich.table import Table
+from rich.text import Text
 
+from missionplanner.certificate import Certificate, Finding
+from missionplanner.flight_check import FlightCheck
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan
-from missionplanner.proof import FlightCheck
 
 
 def summarise(plan: FleetPlan, flight: FleetFlight | None = None, check: FlightCheck | None = None) -> dict[str, Any]:
@@ -49,6 +53,7 @@ def summarise(plan: FleetPlan, flight: FleetFlight | None = None, check: FlightC
         "input_sha256": plan.input_sha256,
         "vehicles": vehicles,
         "fleet": fleet,
+        "proof": _proof(plan.certificate),
     }
 
 
@@ -56,7 +61,7 @@ def vehicle_table(summary: dict[str, Any]) -> Table:
     """Return one row per vehicle: length, speed, predicted and flown arrival, least clearances."""
     flown = "flown_clear" in summary["fleet"]
     table = Table(
-        title=f"{summary['mission']}, {'flown' if flown else 'planned'} (in brackets: the least distances allowed)",
+        title=f"{summary['mission']}, {'flown' if flown else 'kept by proof'} (in brackets: the least allowed)",
         box=box.SIMPLE,
         title_justify="left",
         padding=(0, 1),
@@ -87,7 +92,7 @@ def vehicle_table(summary: dict[str, Any]) -> Table:
 def fleet_lines(summary: dict[str, Any]) -> list[str]:
     """Return the fleet's figures, a line each."""
     fleet = summary["fleet"]
-    lines = []
+    lines = _proof_lines(summary["proof"])
     if fleet["arrival_s"] is not None:
         lines.append(f"common arrival: {fleet['arrival_s']:.1f} s after mission start")
     if fleet["separation"]:
@@ -101,6 +106,74 @@ def fleet_lines(summary: dict[str, Any]) -> list[str]:
         lines.append(f"least separation flown: {_apart(fleet['flown_separation'])}")
     lines.append("flown clear of terrain, obstacles and each other: " + ("yes" if fleet["flown_clear"] else "NO"))
     return lines
+
+
+def certificate_table(certificate: Certificate) -> Table:
+    """Return one row per finding: what is not proven first, then what the mission waives."""
+    title = "proven" if certificate.proven and certificate.findings else "NOT PROVEN"
+    table = Table(title=title, box=box.SIMPLE, title_justify="left", padding=(0, 1))
+    table.add_column("verdict", no_wrap=True)
+    table.add_column("vehicle", no_wrap=True)
+    for heading in ("check", "item"):
+        table.add_column(heading, no_wrap=True, justify="right" if heading == "item" else "left")
+    table.add_column("what is found")
+    for finding in sorted(certificate.findings, key=lambda f: (f.holds, f.proven)):
+        verdict, look = _verdict(finding)
+        told = f"{finding.detail}: {finding.remedy}" if finding.remedy and not finding.proven else finding.detail
+        seq = "" if finding.seq is None else str(finding.seq)
+        # Text, not markup: names and details come from the user's files
+        row = (Text(verdict, look), Text(finding.vehicle or "fleet"), Text(finding.check), Text(seq), Text(told))
+        table.add_row(*row)
+    return table
+
+
+def moves_table(moves: Sequence[Mapping[str, Any]]) -> Table:
+    """Return one row per waypoint that was moved: how far, where to, and its new place."""
+    table = Table(title=f"waypoints moved: {len(moves)}", box=box.SIMPLE, title_justify="left", padding=(0, 1))
+    table.add_column("vehicle", no_wrap=True)
+    for heading in ("item", "shifted m", "course deg", "raised m", "new place", "m AMSL"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for move in moves:
+        course, after = move["course_deg"], move["after"]
+        table.add_row(
+            Text(move["vehicle"]),
+            str(move["seq"]),
+            f"{move['shifted_m']:.2f}",
+            "-" if course is None else f"{course:.0f}",
+            f"{move['raised_m']:+.2f}",
+            f"{after['lat_deg']:.7f}, {after['lon_deg']:.7f}",
+            f"{after['alt_amsl_m']:.2f}",
+        )
+    return table
+
+
+def _verdict(finding: Finding) -> tuple[str, str]:
+    if finding.proven:
+        return "proven", "green"
+    return ("waived", "yellow") if finding.waived else ("NOT PROVEN", "bold red")
+
+
+def _proof(certificate: Certificate | None) -> dict[str, Any]:
+    """Return the proof in figures; where nothing was checked, nothing is proven."""
+    if certificate is None or not certificate.findings:
+        return {"proven": False, "problems": ["nothing is proven of it: check it"], "waived": [], "lateness_s": None}
+    late = [f.value for f in certificate.findings if f.check == "lateness" and f.value is not None]
+    return {
+        "proven": certificate.proven,
+        "problems": [str(finding) for finding in certificate.problems],
+        "waived": [str(finding) for finding in certificate.findings if finding.waived and not finding.proven],
+        # rounded down: no more is proven
+        "lateness_s": math.floor(round(min(late) * 100.0, 6)) / 100.0 if late and math.isfinite(min(late)) else None,
+    }
+
+
+def _proof_lines(proof: dict[str, Any]) -> list[str]:
+    late_s, waived, problems = proof["lateness_s"], proof["waived"], proof["problems"]
+    late = "" if late_s is None else f"; all keep apart while none is more than {late_s:g} s early or late"
+    but = f", but for what the mission waives ({len(waived)})" if waived else ""
+    verdict = f"yes{but}" if proof["proven"] else f"NO, {len(problems)} check{'s' if len(problems) > 1 else ''} failed"
+    told = [f"  not proven: {problem}" for problem in problems] + [f"  waived: {line}" for line in waived]
+    return [f"proven: {verdict}{late}", *told]
 
 
 def _clearance(clearance: Clearance) -> dict[str, Any]:

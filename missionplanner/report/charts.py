@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,75 +13,189 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from scipy.ndimage import grey_dilation, grey_erosion
 
 from missionplanner.geodesy import FloatArray
 from missionplanner.plan import Clearance, Trajectory
 from missionplanner.report import style
-from missionplanner.report.facts import Distances, Facts, VehicleFacts, along_m, along_path_m, distances
+from missionplanner.report.facts import Course, Distances, Facts, Sketch, VehicleFacts, along_m, along_path_m, distances
 from missionplanner.report.shapes import Shape, vertical_range
+from missionplanner.report.verdicts import ENDINGS, floored
 from missionplanner.scene import Scene
+from missionplanner.terrain import Terrain
 
 _PROFILE_SAMPLES = 2000
 _FAR_M = 1e5
+_ABREAST = 9
+_ITEM_WIDTH_PX = 90.0
 _NAMED_LINES = 10
 
 
-def height_profile(facts: Facts, shapes: Sequence[Shape], vehicle: VehicleFacts) -> Figure:
-    """Draw one vehicle's path and flight over the ground below it, with the room it must keep."""
+def height_profile(facts: Sketch, shapes: Sequence[Shape], vehicle: Course) -> Figure:
+    """Draw one vehicle's legs, its tube and its flight over the ground below them, with the room it must keep."""
     figure = style.new_figure(2.75)
     axes = figure.add_axes((0.07, 0.16, 0.915, 0.66))
-    plan, limits = vehicle.plan, vehicle.task.limits
+    limits, terrain = vehicle.task.limits, facts.scene.terrain
     colour = style.vehicle_colour(vehicle.index)
-    run = along_m(plan.path_m)
-    below_run = np.linspace(0.0, run[-1], _PROFILE_SAMPLES)
-    below = np.stack([np.interp(below_run, run, plan.path_m[:, k]) for k in range(3)], axis=-1)
-    ground = facts.scene.terrain.height_amsl_m(below[:, 0], below[:, 1])
-    terrain = _clearance_to(plan.clearances, "terrain")
-    required_m = terrain.required_m if terrain else limits.terrain_margin_m + limits.tracking_error_m
+    way = _way(vehicle)
+    line, run = np.concatenate([part.line_m for part in way]), np.concatenate([part.run_m for part in way])
+    length_m = max(float(run[-1]), 1.0)
+    below_run = np.linspace(0.0, length_m, _PROFILE_SAMPLES)
+    below = np.stack([np.interp(below_run, run, line[:, k]) for k in range(3)], axis=-1)
+    ground = terrain.height_amsl_m(below[:, 0], below[:, 1])
+    known = np.isfinite(ground)
+    required_m = limits.terrain_margin_m
+    tube_m = limits.tube_m if vehicle.legs else 0.0
 
-    tops = [plan.path_m[:, 2].max()]
+    tops = [float(part.line_m[:, 2].max()) + part.tube_m for part in way]
     track = vehicle.flown.en_route.position_m if vehicle.flown else None
     if track is not None:
-        tops.append(track[:, 2].max())
-    low, high = float(np.nanmin(ground)), float(max(tops))
+        tops.append(float(track[:, 2].max()))
+    low, high = float(min(ground[known].min(initial=np.inf), line[:, 2].min())), max(tops)
     room = max(high - low, 30.0)
     bottom, top = low - 0.14 * room, high + 0.12 * room
 
+    ends = np.array([part.run_m[-1] for part in way])
+    tubes_m = np.array([part.tube_m for part in way])[np.searchsorted(ends[:-1], below_run)]
+    kept = _ground_under_tube(terrain, below, tubes_m) + required_m
     axes.fill_between(below_run, bottom, ground, color=style.GROUND, linewidth=0, zorder=2)
     axes.plot(below_run, ground, color=style.GROUND_EDGE, linewidth=0.9, zorder=3)
-    axes.fill_between(below_run, ground, ground + required_m, color=style.MARGIN, alpha=0.28, linewidth=0, zorder=1.5)
-    around_m = limits.obstacle_margin_m + limits.tracking_error_m
-    _draw_section(axes, [s for s in shapes if s.hard], below_run, below, around_m)
+    axes.fill_between(below_run, ground, kept, color=style.MARGIN, alpha=0.28, linewidth=0, zorder=1.5)
+    axes.fill_between(below_run, bottom, top, where=~known, color=style.BAD, alpha=0.10, linewidth=0, zorder=1)
+    _draw_section(axes, [s for s in shapes if s.hard], below_run, below, limits.obstacle_margin_m)
     ceiling = np.minimum(ground + limits.height_agl_max_m, limits.alt_amsl_max_m)
-    if np.nanmin(ceiling) < top:
+    ceiling_seen = float(ceiling[known].min(initial=np.inf)) < top
+    if ceiling_seen:
         axes.plot(below_run, ceiling, color=style.BAD, linewidth=0.9, linestyle=(0, (4, 2)), zorder=5)
-    axes.plot(run, plan.path_m[:, 2], color=colour, linewidth=2.2, zorder=6, path_effects=style.halo(3.4))
-    waypoint_run = along_path_m(plan.path_m, plan.waypoints_m, window_m=math.inf)
+    _draw_tubes(axes, way, below_run, colour)
+    axes.plot(run, line[:, 2], color="white", linewidth=3.4, zorder=5.9)
+    for part in way:
+        shade = colour if part.proven else style.BAD
+        axes.plot(part.run_m, part.line_m[:, 2], color=shade, linewidth=2.0, zorder=6 if part.proven else 6.1)
     axes.plot(
-        waypoint_run, plan.waypoints_m[:, 2], linestyle="none", marker="o", markersize=3.6, zorder=7,
+        *_waypoint_marks(vehicle, way), linestyle="none", marker="o", markersize=3.6, zorder=7,
         markerfacecolor="white", markeredgecolor=colour, markeredgewidth=1.0,
     )  # fmt: skip
     if track is not None:
         track = track[:: max(1, len(track) // 1500)]
-        axes.plot(along_path_m(plan.path_m, track), track[:, 2], color=style.INK, linewidth=0.8, zorder=8)
+        axes.plot(along_path_m(line, track), track[:, 2], color=style.INK, linewidth=0.8, zorder=8)
 
-    said = []
-    shown = [c for c in plan.clearances if c.what not in {"ceiling", "fence"} or not c.ok]
-    for mark, clearance in zip("abcd", shown, strict=False):
-        where = float(along_path_m(plan.path_m, np.array([clearance.position_m]), window_m=math.inf)[0])
+    shown = [c for c in vehicle.clearances if c.what not in {"ceiling", "fence"} or not c.ok]
+    said = ["height above ground not known"] * any(not math.isfinite(c.distance_m) for c in shown)
+    for mark, clearance in zip("abcd", [c for c in shown if math.isfinite(c.distance_m)], strict=False):
+        where = float(along_path_m(line, np.array([clearance.position_m]), window_m=math.inf)[0])
         _mark_least(axes, facts.scene, clearance, where, mark)
         said.append(f"{mark}  {_clearance_words(clearance)}")
-    axes.set_xlim(0.0, max(float(run[-1]), 1.0))
+    axes.set_xlim(0.0, length_m)
     axes.set_ylim(bottom, top)
     axes.set_ylabel("altitude AMSL (m)")
     axes.yaxis.set_major_locator(MaxNLocator(5))
-    _distance_axis(axes, float(run[-1]))
+    _distance_axis(axes, length_m)
     style.quiet(axes)
-    figure.text(0.07, 0.935, plan.name, color=colour, fontsize=11, fontweight="bold", va="center")
-    figure.text(0.985, 0.935, "     ".join(said), color=style.INK, fontsize=8, ha="right", va="center")
-    key = _profile_key(required_m, ceiling=bool(np.nanmin(ceiling) < top), flown=track is not None)
-    figure.text(0.07, 0.865, key, color=style.MUTED, fontsize=7.5, va="center")
+    _name_open_parts(axes, way)
+    figure.text(0.07, 0.935, vehicle.name, color=colour, fontsize=11, fontweight="bold", va="center")
+    said_colour = style.INK if all(c.ok for c in shown) else style.BAD
+    figure.text(0.985, 0.935, "     ".join(said), color=said_colour, fontsize=8, ha="right", va="center")
+    key = _profile_key(
+        required_m,
+        tube_m,
+        circles=any(part.tube_m > tube_m for part in way),
+        ceiling=ceiling_seen,
+        flown=track is not None,
+        red=any(not part.proven for part in way),
+        unknown=not known.all(),
+    )
+    figure.text(0.07, 0.865, key, color=style.MUTED, fontsize=7, va="center")
     return figure
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """A leg on a height profile: its line (N, 3), and how far along the whole way each point is."""
+
+    seq: int | None
+    kind: str
+    line_m: FloatArray
+    run_m: FloatArray  # (N,)
+    tube_m: float  # 0: none is drawn, where it leaves and meets the ground
+    proven: bool
+
+
+def _way(vehicle: Course) -> list[_Part]:
+    """Return a vehicle's legs one after the other, but once around where it circles; of one without proof, its path."""
+    parts: list[_Part] = []
+    begin_m = 0.0
+    for leg in vehicle.legs:
+        line_m, run_m = leg.line_m, along_m(leg.line_m)
+        if leg.kind == "loiter":
+            once = run_m <= 2.0 * math.pi * vehicle.task.motion.loiter_radius_m
+            line_m, run_m = line_m[once], run_m[once]
+        tube_m = vehicle.task.limits.tube_m + leg.wider_m if leg.over_terrain else 0.0
+        parts.append(_Part(leg.seq, leg.kind, line_m, begin_m + run_m, tube_m, leg.proven))
+        begin_m = float(parts[-1].run_m[-1])
+    return parts or [_Part(None, "straight", vehicle.path_m, along_m(vehicle.path_m), 0.0, True)]
+
+
+def _ground_under_tube(terrain: Terrain, below: FloatArray, tube_m: FloatArray) -> FloatArray:
+    """Return the highest ground (N,) that the underside of tubes (N,) about the way (N, 3) meets, abreast of it."""
+    ahead = np.gradient(below[:, :2], axis=0)
+    aside = np.stack([-ahead[:, 1], ahead[:, 0]], axis=-1)
+    aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-9)
+    turn = np.linspace(-0.5 * math.pi, 0.5 * math.pi, _ABREAST)
+    places = below[:, None, :2] + (tube_m[:, None] * np.sin(turn))[..., None] * aside[:, None, :]
+    heights = terrain.height_amsl_m(places[..., 0], places[..., 1])
+    return np.asarray((heights - tube_m[:, None] * (1.0 - np.cos(turn))).max(axis=1))
+
+
+def _draw_tubes(axes: Axes, way: Sequence[_Part], run: FloatArray, colour: str) -> None:
+    """Shade the tubes in the vertical surface along the way, those of one width together."""
+    step_m = float(run[1] - run[0])
+    for tube_m, group in itertools.groupby(way, key=lambda part: part.tube_m):
+        parts = list(group)
+        if tube_m == 0.0:
+            continue
+        reach = np.arange(-math.floor(tube_m / step_m), math.floor(tube_m / step_m) + 1) * step_m
+        round_ = np.sqrt(np.maximum(tube_m**2 - reach**2, 0.0))
+        at, z = np.concatenate([p.run_m for p in parts]), np.concatenate([p.line_m[:, 2] for p in parts])
+        first, last = np.searchsorted(run, at[0] - 1e-9), np.searchsorted(run, at[-1] + 1e-9, side="right")
+        samples = slice(min(int(first), len(run) - 1), max(int(last), int(first) + 1))
+        low = np.interp(run[samples], at, z)
+        high = low.copy()
+        for i in np.flatnonzero(np.diff(at) < step_m):  # what is steep falls between the samples
+            k = int(np.argmin(np.abs(run[samples] - at[i])))
+            low[k], high[k] = min(low[k], *z[i : i + 2]), max(high[k], *z[i : i + 2])
+        low = grey_erosion(low, structure=round_, mode="nearest")
+        high = grey_dilation(high, structure=round_, mode="nearest")
+        axes.fill_between(run[samples], low, high, color=colour, alpha=0.25, linewidth=0, zorder=4)
+
+
+def _waypoint_marks(vehicle: Course, way: Sequence[_Part]) -> tuple[FloatArray, FloatArray]:
+    """Return how far along the way, and how high, its waypoints are: where legs end."""
+    if not vehicle.legs:
+        return along_path_m(vehicle.path_m, vehicle.waypoints_m, window_m=math.inf), vehicle.waypoints_m[:, 2]
+    ends = [(part.run_m[-1], part.line_m[-1, 2]) for part in way if part.kind not in ENDINGS]
+    return np.array([run for run, _ in ends]), np.array([z for _, z in ends])
+
+
+def _name_open_parts(axes: Axes, way: Sequence[_Part]) -> None:
+    """Write the item's number above every leg that is not proven, as far as there is room."""
+    taken = -math.inf
+    for part in way:
+        if part.proven or part.seq is None:
+            continue
+        middle = 0.5 * float(part.run_m[0] + part.run_m[-1])
+        x, _ = axes.transData.transform((middle, 0.0))
+        if x - taken < _ITEM_WIDTH_PX:
+            continue
+        taken = x
+        z = float(np.interp(middle, part.run_m, part.line_m[:, 2]))
+        side = (
+            "left" if middle < 0.03 * way[-1].run_m[-1] else "right" if middle > 0.97 * way[-1].run_m[-1] else "center"
+        )
+        axes.annotate(
+            f"item {part.seq}", xy=(middle, z), xytext=(0, 9), textcoords="offset points", ha=side, va="bottom",
+            fontsize=7.5, fontweight="bold", color=style.BAD, zorder=10, path_effects=style.halo(2.2),
+        )  # fmt: skip
 
 
 def separation(facts: Facts) -> Figure:
@@ -334,13 +449,9 @@ def _plain_log(axes: Axes) -> None:
     axes.yaxis.set_minor_locator(LogLocator(subs=()))
 
 
-def _clearance_to(clearances: tuple[Clearance, ...], what: str) -> Clearance | None:
-    return next((c for c in clearances if c.what == what), None)
-
-
 def _clearance_words(clearance: Clearance) -> str:
     thing = "above ground" if clearance.what == "terrain" else f"to {clearance.what}"
-    return f"{clearance.distance_m:.1f} m {thing} (needs {clearance.required_m:g})"
+    return f"{floored(clearance.distance_m, 1)} m {thing} (needs {clearance.required_m:g})"
 
 
 def _arrival_words(v: VehicleFacts) -> str:
@@ -352,7 +463,11 @@ def _arrival_words(v: VehicleFacts) -> str:
     return f"{words}, flown {v.flown.record.arrival_s - v.plan.arrival_s:+.2f} s"
 
 
-def _profile_key(required_m: float, *, ceiling: bool, flown: bool) -> str:
-    words = ["coloured: planned path with its waypoints", f"amber: to be kept clear, {required_m:g} m above ground"]
-    words += ["shaded: obstacles"] + ["red dashes: ceiling"] * ceiling + ["thin black: flown"] * flown
-    return "     ".join(words)
+def _profile_key(
+    required_m: float, tube_m: float, *, circles: bool, ceiling: bool, flown: bool, red: bool, unknown: bool
+) -> str:
+    tube = f"shaded: tube, {tube_m:g} m around{', more where it circles' if circles else ''}"
+    words = ["coloured: legs, waypoints"] + [tube] * (tube_m > 0.0)
+    words += ["red: not proven"] * red + [f"amber: {required_m:g} m above ground, to be kept clear"]
+    words += ["pale red: ground unknown"] * unknown + ["red dashes: ceiling"] * ceiling + ["black: flown"] * flown
+    return "    ".join(words)

@@ -9,9 +9,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from missionplanner import proof
+from missionplanner.certificate import Certificate, Finding
+from missionplanner.flight_check import check_flight
 from missionplanner.geodesy import FloatArray
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownVehicle, Trajectory, VehiclePlan
+from missionplanner.report.verdicts import LegFacts, judged, leg_facts, waived_together
 from missionplanner.scene import Scene, VehicleTask
+from missionplanner.sortie import Sortie
 
 _PAIRS_DRAWN = 6
 _TIME_STEPS = 1600
@@ -30,18 +34,31 @@ class FlownFacts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VehicleFacts:
-    """One vehicle: its place in the fleet, plan, task and flight."""
+class Course:
+    """What is drawn of one vehicle, whoever planned it: its place in the fleet, its way, what is proven of it."""
 
     index: int
-    plan: VehiclePlan
+    name: str
     task: VehicleTask
+    home_m: FloatArray  # (3,)
+    path_m: FloatArray  # (S, 3), from the top of the take-off to the last waypoint
+    waypoints_m: FloatArray  # (W, 3)
+    legs: tuple[LegFacts, ...]  # empty where nothing is proven
+    clearances: tuple[Clearance, ...]
     flown: FlownFacts | None
 
     @property
-    def name(self) -> str:
-        """The vehicle's name."""
-        return self.plan.name
+    def way_m(self) -> FloatArray:
+        """What is flown of the mission's legs (N, 3), as it was proven; where nothing was, the path."""
+        lines = [leg.line_m for leg in self.legs if leg.kind != "takeoff" and not leg.ends]
+        return np.concatenate(lines) if lines else self.path_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VehicleFacts(Course):
+    """One vehicle of a plan."""
+
+    plan: VehiclePlan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,42 +71,95 @@ class Distances:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Facts:
-    """Everything that the pictures and tables show."""
+class Sketch:
+    """Everything that maps and height profiles show."""
 
     scene: Scene
-    plan: FleetPlan
-    flight: FleetFlight | None
-    vehicles: tuple[VehicleFacts, ...]
-    flown_separation: Clearance | None
-    troubles: tuple[str, ...]  # why the plan or the flight is not all clear
-    remarks: tuple[str, ...]  # what is worth knowing though everything was kept
+    vehicles: Sequence[Course]
+    findings: tuple[Finding, ...]
 
     @property
     def flown(self) -> bool:
         """Whether a flight was recorded."""
-        return self.flight is not None
+        return any(v.flown for v in self.vehicles)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Facts(Sketch):
+    """Everything that the pictures and tables of a plan show."""
+
+    vehicles: Sequence[VehicleFacts]
+    plan: FleetPlan
+    flight: FleetFlight | None
+    flown_separation: Clearance | None
+    troubles: tuple[str, ...]  # why the plan or the flight is not all clear
+    remarks: tuple[str, ...]  # what is worth knowing though everything was kept
 
 
 def collect(scene: Scene, plan: FleetPlan, flight: FleetFlight | None) -> Facts:
     """Compare plan and flight with the scene."""
-    check = proof.check_flight(scene, plan, flight) if flight else None
+    check = check_flight(scene, plan, flight) if flight else None
+    certificate = plan.certificate
+    findings = judged(certificate, [vehicle.name for vehicle in plan.vehicles], scene.input_sha256)
     vehicles = []
     for index, (vehicle, task) in enumerate(zip(plan.vehicles, scene.tasks, strict=True)):
-        flown = None
+        flown: FlownFacts | None = None
+        legs: tuple[LegFacts, ...] = ()
         if flight is not None and check is not None:
             flown = _flown_facts(vehicle, task, flight.vehicles[index], check.clearances[index])
-        vehicles.append(VehicleFacts(index, vehicle, task, flown))
+        if certificate is not None:
+            sortie = proof.planned_sortie(scene, vehicle)
+            legs = leg_facts(task, certificate.legs, findings, sortie, vehicle.trajectory, vehicle.reached_s)
+        vehicles.append(
+            VehicleFacts(
+                index=index,
+                name=vehicle.name,
+                task=task,
+                home_m=vehicle.home_m,
+                path_m=vehicle.path_m,
+                waypoints_m=vehicle.waypoints_m,
+                legs=legs,
+                clearances=vehicle.clearances,
+                flown=flown,
+                plan=vehicle,
+            )
+        )
     flown_separation = check.separation if check else None
+    open_ = (str(finding) for finding in findings if not finding.holds)
     return Facts(
         scene=scene,
+        vehicles=tuple(vehicles),
+        findings=findings,
         plan=plan,
         flight=flight,
-        vehicles=tuple(vehicles),
         flown_separation=flown_separation,
-        troubles=(*proof.unsafe(scene, plan), *_flight_troubles(vehicles, flown_separation)),
-        remarks=tuple(_remarks(plan, flight, vehicles)),
+        troubles=(*open_, *_flight_troubles(vehicles, flown_separation)),
+        remarks=tuple(_remarks(plan, flight, vehicles, findings)),
     )
+
+
+def sketch_of(scene: Scene, certificate: Certificate, sorties: Sequence[Sortie]) -> Sketch:
+    """Return what is drawn of missions that were checked, whoever planned them."""
+    findings = judged(certificate, [sortie.name for sortie in sorties], scene.input_sha256)
+    courses = []
+    for index, flight in enumerate(proof.predict(scene, sorties)):
+        sortie, task = flight.sortie, flight.task
+        legs = leg_facts(task, certificate.legs, findings, sortie, flight.trajectory, flight.reached_s)
+        way = [leg.line_m for leg in legs if leg.kind != "takeoff" and not leg.ends]
+        courses.append(
+            Course(
+                index=index,
+                name=sortie.name,
+                task=task,
+                home_m=sortie.home_m,
+                path_m=np.concatenate(way or [np.stack([sortie.home_m, sortie.legs[0].end_m])]),
+                waypoints_m=np.array([leg.end_m for leg in sortie.legs]),
+                legs=legs,
+                clearances=proof.clearances(certificate, sortie.name),
+                flown=None,
+            )
+        )
+    return Sketch(scene, tuple(courses), findings)
 
 
 def along_m(positions_m: FloatArray) -> FloatArray:
@@ -146,7 +216,7 @@ def _flown_facts(plan: VehiclePlan, task: VehicleTask, record: FlownVehicle, kep
         en_route=en_route,
         clearances=kept,
         deviation_m=float(_distance_to_track(en_route.position_m, plan.trajectory.position_m).max()),
-        deviation_allowed_m=task.limits.tracking_error_m,
+        deviation_allowed_m=task.off_prediction_m,
     )
 
 
@@ -191,12 +261,16 @@ def _flight_troubles(vehicles: Sequence[VehicleFacts], separation: Clearance | N
         )
 
 
-def _remarks(plan: FleetPlan, flight: FleetFlight | None, vehicles: Sequence[VehicleFacts]) -> Iterator[str]:
+def _remarks(
+    plan: FleetPlan, flight: FleetFlight | None, vehicles: Sequence[VehicleFacts], findings: Sequence[Finding]
+) -> Iterator[str]:
+    for waived, who in waived_together(findings):
+        yield f"waived by the mission, of {who}: {waived.detail}"
     for v in vehicles:
         if v.flown and v.flown.deviation_m > v.flown.deviation_allowed_m:
             yield (
-                f"{v.name} was {v.flown.deviation_m:.1f} m off its predicted flight; its margins allow for "
-                f"{v.flown.deviation_allowed_m:g} m of tracking error"
+                f"{v.name} was {v.flown.deviation_m:.1f} m off its predicted flight; its proof allows for "
+                f"{v.flown.deviation_allowed_m:g} m"
             )
     spread_s = flight.arrival_spread_s if flight else None
     if plan.arrival_s is not None and spread_s is not None and spread_s > _SPREAD_REMARKED_S:

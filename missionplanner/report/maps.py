@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -17,7 +18,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from missionplanner.geodesy import FloatArray
 from missionplanner.report import style
-from missionplanner.report.facts import Facts, VehicleFacts
+from missionplanner.report.facts import Course, Sketch
 from missionplanner.report.labels import Labels
 from missionplanner.report.relief import (
     HAIR,
@@ -40,6 +41,7 @@ _EDGE_IN = 0.05
 _OBSTACLES_WIDEN, _FENCE_WIDENS = 1.5, 1.8  # at most, the map
 _CONTOUR_LABELS_APART_PX = 260.0
 _NAMED_VEHICLES = 14
+_NAMED_LEGS = 12
 _KINDS = {
     "cylinder": "mast or building",
     "cone": "peak",
@@ -52,11 +54,13 @@ _KINDS = {
     "tower": "tower of the line",
 }
 _CONDUCTOR: dict[str, Any] = {"color": "#55606a", "linewidth": 6.2, "alpha": 0.55, "solid_capstyle": "butt"}
+_BAND: dict[str, Any] = {"linewidth": 7.5, "alpha": 0.85}
+_AROUND: dict[str, Any] = {"linewidth": 1.2, "linestyle": (0, (3, 1.5))}
 _FENCE: dict[str, Any] = {"color": style.FENCE, "linewidth": 1.3, "linestyle": (0, (7, 2, 1.5, 2))}
 _FILL_ALPHA = {"cylinder": 0.55, "cone": 0.35, "radar": 0.18, "soft radar": 0.08, "marine": 0.30, "no_fly": 0.14}
 
 
-def fleet_map(facts: Facts, shapes: Sequence[Shape]) -> Figure:
+def fleet_map(facts: Sketch, shapes: Sequence[Shape]) -> Figure:
     """Draw the whole mission from above."""
     box = map_box(facts, shapes)
     height_in = _MAP_WIDTH_IN * (box[3] - box[1]) / (box[2] - box[0])
@@ -70,13 +74,13 @@ def fleet_map(facts: Facts, shapes: Sequence[Shape]) -> Figure:
     return figure
 
 
-def detail_maps(facts: Facts, shapes: Sequence[Shape]) -> Figure | None:
+def detail_maps(facts: Sketch, shapes: Sequence[Shape]) -> Figure | None:
     """Draw where the fleet takes off and where it ends, if these are too small to be seen on the whole map."""
     whole = map_box(facts, shapes)
     across = min(whole[2] - whole[0], whole[3] - whole[1])
     sites = {
-        "Take-off": np.array([v.plan.home_m for v in facts.vehicles]),
-        "Goals": np.array([v.plan.waypoints_m[-1] for v in facts.vehicles]),
+        "Take-off": np.array([v.home_m for v in facts.vehicles]),
+        "Goals": np.array([v.waypoints_m[-1] for v in facts.vehicles]),
     }
     both = np.concatenate(list(sites.values()))
     if _extent_m(both) < _SITE_SHARE * across:
@@ -105,12 +109,12 @@ def _extent_m(places: FloatArray) -> float:
     return float(np.ptp(places[:, :2], axis=0).max())
 
 
-def map_box(facts: Facts, shapes: Sequence[Shape], least_ratio: tuple[float, float] = (0.95, 0.52)) -> Box:
+def map_box(facts: Sketch, shapes: Sequence[Shape], least_ratio: tuple[float, float] = (0.95, 0.52)) -> Box:
     """Return what the map shows: all paths, homes and towers; obstacles and fence where they are not much farther.
 
     Width to height and height to width are at least ``least_ratio``.
     """
-    places = [v.plan.path_m[:, :2] for v in facts.vehicles] + [v.plan.home_m[None, :2] for v in facts.vehicles]
+    places = [v.path_m[:, :2] for v in facts.vehicles] + [v.home_m[None, :2] for v in facts.vehicles]
     places += [v.flown.record.trajectory.position_m[:, :2] for v in facts.vehicles if v.flown]
     if facts.scene.towers is not None:
         places.append(facts.scene.towers.top_m[:, :2])
@@ -148,7 +152,7 @@ def within(line_m: FloatArray, box: Box) -> FloatArray:
     return line_m[(x > box[0]) & (x < box[2]) & (y > box[1]) & (y < box[3])]
 
 
-def fence_sides(facts: Facts) -> list[FloatArray]:
+def fence_sides(facts: Sketch) -> list[FloatArray]:
     """Return the fence's sides, each as many points (N, 2)."""
     fence = facts.scene.space.fence
     return [np.linspace(a, b, 240) for a, b in zip(fence, np.roll(fence, -1, axis=0), strict=True)]
@@ -175,7 +179,7 @@ def _map_axes(figure: Figure, box: Box, left_in: float, width_in: float, height_
     return axes
 
 
-def _draw_ground(axes: Axes, facts: Facts, box: Box, columns: int) -> Ground:
+def _draw_ground(axes: Axes, facts: Sketch, box: Box, columns: int) -> Ground:
     ground = sample_ground(facts.scene.terrain, box, columns)
     sea = any(o.kind == "marine" for o in facts.scene.mission.obstacles)
     colours = relief_colours(ground, sea=sea)
@@ -191,23 +195,25 @@ def _draw_ground(axes: Axes, facts: Facts, box: Box, columns: int) -> Ground:
     return ground
 
 
-def _draw_all(axes: Axes, facts: Facts, shapes: Sequence[Shape], ground: Ground) -> None:
+def _draw_all(axes: Axes, facts: Sketch, shapes: Sequence[Shape], ground: Ground) -> None:
     labels = Labels(axes)
     _draw_fence(axes, facts)
     for shape in shapes:
         _draw_shape(axes, shape)
     for v in facts.vehicles:
+        _draw_legs(axes, v)
         _draw_vehicle(axes, v)
-        labels.avoid_line(v.plan.path_m)
-        labels.avoid_mark(v.plan.home_m, 4.5)
-        labels.avoid_mark(v.plan.waypoints_m[-1], 5.0)
+        labels.avoid_line(v.way_m)
+        labels.avoid_mark(v.home_m, 4.5)
+        labels.avoid_mark(v.waypoints_m[-1], 5.0)
     _label_vehicles(labels, facts)
+    _label_open_legs(axes, labels, facts)
     _label_shapes(axes, labels, [s for s in shapes if s.kind not in ("tower", "conductor")])
     _label_towers(labels, facts)
     _label_contours(axes, labels, ground)
 
 
-def _draw_fence(axes: Axes, facts: Facts) -> None:
+def _draw_fence(axes: Axes, facts: Sketch) -> None:
     fence = facts.scene.space.fence
     if len(fence):
         outline = np.concatenate([fence, fence[:1]])
@@ -264,14 +270,28 @@ def _draw_shape(axes: Axes, shape: Shape) -> None:
         )  # fmt: skip
 
 
-def _draw_vehicle(axes: Axes, v: VehicleFacts) -> None:
+def _draw_legs(axes: Axes, v: Course) -> None:
+    """Draw each leg as a wide band that shows through beside the path, those with the least to spare on top."""
+    legs = sorted(v.legs, key=lambda leg: (not leg.proven, -leg.room_m))
+    colours = [style.room_colour(leg.room_m, proven=leg.proven) for leg in legs]
+    axes.add_collection(LineCollection([leg.line_m[:, :2] for leg in legs], colors=colours, zorder=5.5, **_BAND))
+    around = [leg.line_m[:, :2] for leg in legs if leg.ends or leg.kind == "takeoff"]
+    axes.add_collection(LineCollection(around, colors=style.vehicle_colour(v.index), zorder=5.9, **_AROUND))
+
+
+def _flown_besides(v: Course) -> bool:
+    """Return whether there is a flight over ground before the first waypoint or after the last."""
+    return any(np.ptp(leg.line_m[:, :2], axis=0).max() > 1.0 for leg in v.legs if leg.ends or leg.kind == "takeoff")
+
+
+def _draw_vehicle(axes: Axes, v: Course) -> None:
     colour, dashes = style.vehicle_colour(v.index), style.vehicle_dashes(v.index)
-    path, waypoints, home = v.plan.path_m, v.plan.waypoints_m, v.plan.home_m
+    path, waypoints, home = v.way_m, v.waypoints_m, v.home_m
     axes.plot(path[:, 0], path[:, 1], color="white", linewidth=3.9, zorder=6, alpha=0.85, solid_capstyle="round")
     axes.plot(path[:, 0], path[:, 1], color=colour, linewidth=2.3, linestyle=dashes, zorder=7)
     pixels = axes.transData.transform(waypoints[:, :2])
-    spacing_pt = np.median(np.linalg.norm(np.diff(pixels, axis=0), axis=-1)) * 72.0 / axes.figure.dpi
-    if spacing_pt > 6.0:
+    steps = np.linalg.norm(np.diff(pixels, axis=0), axis=-1)
+    if len(steps) and np.median(steps) * 72.0 / axes.figure.dpi > 6.0:
         axes.plot(waypoints[1:-1, 0], waypoints[1:-1, 1], linestyle="none", zorder=8, **_ring("o", 2.8, colour, 0.9))
     if v.flown:
         track = v.flown.record.trajectory.position_m
@@ -284,13 +304,24 @@ def _draw_vehicle(axes: Axes, v: VehicleFacts) -> None:
     )  # fmt: skip
 
 
-def _label_vehicles(labels: Labels, facts: Facts) -> None:
+def _label_vehicles(labels: Labels, facts: Sketch) -> None:
     names = [v.name for v in facts.vehicles]
     colours = [style.vehicle_colour(v.index) for v in facts.vehicles]
-    homes = np.array([v.plan.home_m for v in facts.vehicles])
-    goals = np.array([v.plan.waypoints_m[-1] for v in facts.vehicles])
+    homes = np.array([v.home_m for v in facts.vehicles])
+    goals = np.array([v.waypoints_m[-1] for v in facts.vehicles])
     labels.place_group(names, colours, homes, f"{len(homes)} homes")
     labels.place_group(names, colours, goals, f"{len(goals)} goals")
+
+
+def _label_open_legs(axes: Axes, labels: Labels, facts: Sketch) -> None:
+    """Write the item's number at every leg that is not proven and can be seen."""
+    open_ = [leg for v in facts.vehicles for leg in v.legs if not leg.proven]
+    box = (*axes.get_xlim(), *axes.get_ylim())
+    for leg in open_:
+        inside = within(leg.line_m, (box[0], box[2], box[1], box[3]))
+        middle = leg.line_m.mean(axis=0) if len(leg.line_m) == 2 or not len(inside) else inside[len(inside) // 2]
+        must = len(open_) <= _NAMED_LEGS
+        labels.place(f"item {leg.seq}", middle, size=8, gap_pt=7, must=must, fontweight="bold", color=style.BAD)
 
 
 def _label_shapes(axes: Axes, labels: Labels, shapes: Sequence[Shape]) -> None:
@@ -309,7 +340,7 @@ def _label_shapes(axes: Axes, labels: Labels, shapes: Sequence[Shape]) -> None:
         labels.place(shape.name, shape.centre_m, size=7.5, gap_pt=gap_pt, must=must, color=colour)
 
 
-def _label_towers(labels: Labels, facts: Facts) -> None:
+def _label_towers(labels: Labels, facts: Sketch) -> None:
     """Name the first and the last tower, then as many between them as have room, evenly."""
     towers = facts.scene.towers
     if towers is None:
@@ -375,7 +406,7 @@ class _Row:
     mark: dict[str, Any] | None = None
 
 
-def _side_panel(figure: Figure, facts: Facts, shapes: Sequence[Shape], ground: Ground, box: Box) -> None:
+def _side_panel(figure: Figure, facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box) -> None:
     """Draw north arrow, legend and, for a large area, an overview: beside the map, so nothing is covered."""
     whole = figure.get_size_inches()
     left_in = _MAP_LEFT_IN + _MAP_WIDTH_IN + 0.16
@@ -410,7 +441,7 @@ def _north_arrow(axes: Axes, x: float, top: float) -> None:
     axes.text(x, top - 0.30, "N", fontsize=8, fontweight="bold", ha="center", va="center")
 
 
-def _legend(facts: Facts, shapes: Sequence[Shape], ground: Ground, box: Box) -> list[tuple[str, list[_Row]]]:
+def _legend(facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box) -> list[tuple[str, list[_Row]]]:
     shown = facts.vehicles[:_NAMED_VEHICLES]
     vehicles = [
         _Row(
@@ -427,6 +458,8 @@ def _legend(facts: Facts, shapes: Sequence[Shape], ground: Ground, box: Box) -> 
         _Row("goal", mark={"marker": "o", "markersize": 7.5, "color": grey}),
         _Row("waypoint", {"color": grey, "linewidth": 2.0}, _ring("o", 2.8, grey, 0.9)),
     ]
+    if any(map(_flown_besides, facts.vehicles)):
+        marks.append(_Row("take-off, way home", {"color": grey, **_AROUND}))
     if facts.flown:
         marks.append(_Row("flown track", {"color": style.INK, "linewidth": 0.9}))
     kinds = {_kind(shape) for shape in shapes}
@@ -436,7 +469,23 @@ def _legend(facts: Facts, shapes: Sequence[Shape], ground: Ground, box: Box) -> 
     if contour_levels_m(ground).size:
         interval = contour_interval_m(ground.relief_m)
         things.append(_Row(f"contours every {interval:g} m", {"color": "#7c6a50", "linewidth": 0.8}))
-    return [("Planned paths", vehicles), ("Marks", marks), ("Obstacles and ground", things)]
+    return [
+        ("Paths", vehicles),
+        ("Proof: room to spare", _room_rows(facts)),
+        ("Marks", marks),
+        ("Obstacles and ground", things),
+    ]
+
+
+def _room_rows(facts: Sketch) -> list[_Row]:
+    if not any(v.legs for v in facts.vehicles):
+        return [_Row("nothing is proven")]
+    most_m = style.ROOM_SHOWN_M
+    told = ((f"{most_m:g} m or more", most_m), (f"{most_m / 2:g} m", most_m / 2), ("none, but proven", 0.0))
+    rows = [
+        _Row(text, {"color": style.room_colour(room_m), "solid_capstyle": "butt", **_BAND}) for text, room_m in told
+    ]
+    return [*rows, _Row("not proven", {"color": style.BAD, "solid_capstyle": "butt", **_BAND})]
 
 
 def _ring(marker: str, size: float, colour: str, width: float) -> dict[str, Any]:
@@ -455,7 +504,7 @@ def _key(kind: str) -> _Row:
     return _Row(_KINDS[kind], mark={**mark, "color": to_rgba(colour, _FILL_ALPHA[kind])})
 
 
-def _overview(figure: Figure, facts: Facts, box: Box, left_in: float, top_in: float) -> None:
+def _overview(figure: Figure, facts: Sketch, box: Box, left_in: float, top_in: float) -> None:
     """Show where the map lies in the mission's area, if that is much larger and there is room below the legend."""
     west, south, east, north = facts.scene.area_m
     if (east - west) < 1.5 * (box[2] - box[0]) and (north - south) < 1.5 * (box[3] - box[1]):

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from missionplanner.certificate import Certificate
 from missionplanner.files import write_atomic
-from missionplanner.geodesy import LocalFrame
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan
 from missionplanner.report import charts, style
-from missionplanner.report.facts import Facts, VehicleFacts, collect
+from missionplanner.report.facts import Course, Facts, Sketch, VehicleFacts, collect, sketch_of
 from missionplanner.report.maps import detail_maps, fleet_map
 from missionplanner.report.shapes import Shape, shapes
+from missionplanner.report.verdicts import floored, lateness_words, place_words, section
 from missionplanner.report.view import space_view
 from missionplanner.scene import Scene
+from missionplanner.sortie import Sortie
 
 REPORT_NAME = "report.html"
+CHECK_NAME = "check.html"
 PICTURES_NAME = "pictures"
 _PROFILES_DRAWN = 12
 _REASONS_SHOWN = 20
@@ -95,22 +98,12 @@ def write_report(folder: Path, scene: Scene, plan: FleetPlan, flight: FleetFligh
         The folder cannot be written to.
     """
     facts = collect(scene, plan, flight)
-    pictures = []
-    for picture in _pictures(facts):
-        write_atomic(folder / PICTURES_NAME / f"{picture.name}.png", picture.png)
-        pictures.append(picture)
-    path = folder / REPORT_NAME
-    write_atomic(path, _html(facts, pictures))
-    return path
-
-
-def _html(facts: Facts, pictures: Sequence[_Picture]) -> str:
-    here = resources.files(__package__)
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    template = environment.from_string(here.joinpath("report.html").read_text(encoding="utf-8"))
-    return template.render(
-        css=Markup(here.joinpath("report.css").read_text(encoding="utf-8")),
-        mission=facts.plan.mission,
+    return _write(
+        folder / REPORT_NAME,
+        _pictures(facts),
+        mission=plan.mission,
+        eyebrow="Mission report",
+        subject="plan and flight" if facts.flown else "plan",
         flown=facts.flown,
         headline=_headline(facts),
         clear=not facts.troubles,
@@ -118,12 +111,53 @@ def _html(facts: Facts, pictures: Sequence[_Picture]) -> str:
         troubles_left=max(0, len(facts.troubles) - _REASONS_SHOWN),
         remarks=facts.remarks,
         tiles=tuple(_tiles(facts)),
+        proof=section(plan.certificate, facts.findings, scene.frame),
         vehicles=tuple(_vehicle_row(v) for v in facts.vehicles),
         clearances=tuple(_clearance_rows(facts)),
         fleet=tuple(_fleet_rows(facts)),
         provenance=tuple(_provenance(facts)),
-        pictures=pictures,
     )
+
+
+def write_check_report(folder: Path, scene: Scene, certificate: Certificate, sorties: Sequence[Sortie]) -> Path:
+    """Write ``check.html`` and ``pictures/*.png`` of missions that were checked, and return the page's path.
+
+    Nobody needs to have planned them here: what is drawn is what the ``sorties`` fly.
+
+    Raises
+    ------
+    MissionError
+        The folder cannot be written to.
+    """
+    sketch = sketch_of(scene, certificate, sorties)
+    return _write(
+        folder / CHECK_NAME,
+        _check_pictures(sketch),
+        mission=scene.mission,
+        eyebrow="Mission check",
+        subject="missions as they are held",
+        tiles=tuple(_least_tiles(sketch)),
+        proof=section(certificate, sketch.findings, scene.frame),
+    )
+
+
+def _write(path: Path, pictures: Iterable[_Picture], **said: object) -> Path:
+    """Fill the template of the page's name, write it and its pictures, and return its path."""
+    drawn = []
+    for picture in pictures:
+        write_atomic(path.parent / PICTURES_NAME / f"{picture.name}.png", picture.png)
+        drawn.append(picture)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, loader=FunctionLoader(_part)
+    )
+    css = Markup(_part("report.css"))
+    write_atomic(path, environment.get_template(path.name).render(css=css, pictures=drawn, **said))
+    return path
+
+
+def _part(name: str) -> str:
+    """Return a template or style sheet of this package."""
+    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
 def _pictures(facts: Facts) -> Iterator[_Picture]:
@@ -131,7 +165,7 @@ def _pictures(facts: Facts) -> Iterator[_Picture]:
     count = len(facts.vehicles)
     fleet = f"{count} vehicles" if count > 1 else facts.vehicles[0].name
     with style.look():
-        yield _picture("map", "Map", fleet_map(facts, outlines), "", f"Map of the mission with the paths of {fleet}.")
+        yield _map(facts, outlines, fleet)
         detail = detail_maps(facts, outlines)
         if detail is not None:
             yield _picture(
@@ -160,9 +194,26 @@ def _pictures(facts: Facts) -> Iterator[_Picture]:
             )  # fmt: skip
 
 
-def _profiles(facts: Facts, outlines: tuple[Shape, ...]) -> Iterator[_Picture]:
+def _check_pictures(sketch: Sketch) -> Iterator[_Picture]:
+    outlines = shapes(sketch.scene)
+    count = len(sketch.vehicles)
+    with style.look():
+        yield _map(sketch, outlines, f"{count} vehicles" if count > 1 else sketch.vehicles[0].name)
+        yield from _profiles(sketch, outlines)
+
+
+def _map(sketch: Sketch, outlines: tuple[Shape, ...], fleet: str) -> _Picture:
+    caption = (
+        "Beside each path, leg by leg: how much more its tube keeps from ground, obstacles and fence than it must."
+    )
+    return _picture(
+        "map", "Map", fleet_map(sketch, outlines), caption, f"Map of the mission with the paths of {fleet}."
+    )
+
+
+def _profiles(facts: Sketch, outlines: tuple[Shape, ...]) -> Iterator[_Picture]:
     """Draw every vehicle's profile; of a large fleet, those with the least to spare."""
-    drawn = facts.vehicles
+    drawn = tuple(facts.vehicles)
     caption = ""
     if len(drawn) > _PROFILES_DRAWN:
         tightest = sorted(drawn, key=_spare_m)[:_PROFILES_DRAWN]
@@ -179,8 +230,10 @@ def _picture(name: str, title: str, figure: Figure, caption: str, alt: str) -> _
     return _Picture(name, title, caption, alt, style.to_png(figure))
 
 
-def _spare_m(v: VehicleFacts) -> float:
-    return min((c.distance_m - c.required_m for c in v.plan.clearances), default=math.inf)
+def _spare_m(v: Course) -> float:
+    if not all(leg.proven for leg in v.legs):
+        return -math.inf
+    return min((c.distance_m - c.required_m for c in v.clearances), default=math.inf)
 
 
 def _headline(facts: Facts) -> str:
@@ -204,33 +257,29 @@ def _tiles(facts: Facts) -> Iterator[_Tile]:
             "arrivals flown", "incomplete" if spread_s is None else f"{spread_s:.2f} s", "from first to last",
             bad=spread_s is None,
         )  # fmt: skip
-    for what, label in (("terrain", "least above ground"), ("obstacle", "least to obstacles")):
-        tile = _least_tile(facts, what, label)
-        if tile is not None:
-            yield tile
+    yield from _least_tiles(facts)
     separation = facts.flown_separation if facts.flown else plan.separation
     if separation is not None:
-        yield _Tile(
-            "least between vehicles", f"{separation.distance_m:.1f} m",
-            f"{_how(facts)}; {separation.required_m:g} m required; {separation.what}", bad=not separation.ok,
-        )  # fmt: skip
+        note = f"{'flown' if facts.flown else 'predicted'}; {separation.required_m:g} m required; {separation.what}"
+        yield _Tile("least between vehicles", f"{separation.distance_m:.1f} m", note, bad=not separation.ok)
     total = sum(v.plan.length_m for v in facts.vehicles)
     yield _Tile("paths", _length(total), f"{len(facts.vehicles)} vehicle{'s' if len(facts.vehicles) > 1 else ''}")
 
 
-def _least_tile(facts: Facts, what: str, label: str) -> _Tile | None:
-    found = [
-        (c, v.name)
-        for v in facts.vehicles
-        for c in (v.flown.clearances if v.flown else v.plan.clearances)
-        if _kind(c) == what
-    ]
-    if not found:
-        return None
-    least, name = min(found, key=lambda entry: entry[0].distance_m - entry[0].required_m)
-    thing = f"{least.what}, {name}" if what == "obstacle" else name
-    note = f"{_how(facts)}; {least.required_m:g} m required; {thing}"
-    return _Tile(label, _metres(least.distance_m), note, bad=not least.ok)
+def _least_tiles(sketch: Sketch) -> Iterator[_Tile]:
+    for what, label in (("terrain", "least above ground"), ("obstacle", "least to obstacles")):
+        found = [
+            (c, v.name)
+            for v in sketch.vehicles
+            for c in (v.flown.clearances if v.flown else v.clearances)
+            if _kind(c) == what
+        ]
+        if not found:
+            continue
+        least, name = min(found, key=lambda entry: entry[0].distance_m - entry[0].required_m)
+        thing = f"{least.what}, {name}" if what == "obstacle" else name
+        note = f"{_how(sketch)}; {least.required_m:g} m required; {thing}"
+        yield _Tile(label, _metres(least.distance_m), note, bad=not least.ok)
 
 
 def _vehicle_row(v: VehicleFacts) -> _VehicleRow:
@@ -266,13 +315,13 @@ def _clearance_rows(facts: Facts) -> Iterator[_ClearanceRow]:
                 colour=style.vehicle_colour(v.index),
                 first=i == 0,
                 to=_thing(facts, planned),
-                required=f"{planned.required_m:g}" + (f" / {other.required_m:g}" if other else ""),
+                required=f"{planned.required_m:g}",
                 planned=_metres(planned.distance_m, unit=""),
                 planned_ok=planned.ok,
-                planned_where=_where(facts.plan.frame, planned),
+                planned_where=place_words(facts.plan.frame, planned.position_m),
                 flown="" if other is None else _metres(other.distance_m, unit="") + _named_otherwise(planned, other),
                 flown_ok=other is None or other.ok,
-                flown_where="" if other is None else _where(facts.plan.frame, other),
+                flown_where="" if other is None else place_words(facts.plan.frame, other.position_m),
             )
 
 
@@ -287,6 +336,9 @@ def _fleet_rows(facts: Facts) -> Iterator[tuple[str, str]]:
         if c is not None:
             when = f", at {c.t_s:.1f} s" if c.t_s is not None else ""
             yield f"least separation, {how}", f"{c.distance_m:.2f} m ({c.required_m:g} m required), {c.what}{when}"
+    late = next((f for f in facts.findings if f.check == "lateness" and f.value is not None), None)
+    if late is not None and late.value is not None:
+        yield "all keep apart, early or late by", f"{floored(late.value, 1)} s"
     yield "length of all paths", _length(sum(v.plan.length_m for v in facts.vehicles))
     yield "last predicted touch-down or end", f"{max(float(v.plan.trajectory.t_s[-1]) for v in facts.vehicles):.0f} s"
 
@@ -305,13 +357,14 @@ def _provenance(facts: Facts) -> Iterator[tuple[str, str]]:
 
 
 def _separation_caption(facts: Facts) -> str:
-    c = facts.plan.separation
-    if c is None or c.required_m == facts.scene.mission.fleet.separation_m:
-        return ""
-    return (
-        f"The fleet must keep {facts.scene.mission.fleet.separation_m:g} m; the plan keeps {c.required_m:g} m, "
-        "which leaves room for the tracking errors of both."
-    )
+    c, asked_m = facts.plan.separation, facts.scene.mission.fleet.separation_m
+    said = [lateness_words(facts.findings)]
+    if c is not None and c.required_m != asked_m:
+        said.append(
+            f"The fleet must keep {asked_m:g} m; predicted flights keep {c.required_m:g} m, which leaves room for the "
+            "errors of both."
+        )
+    return " ".join(filter(None, said))
 
 
 def _arrival_caption(facts: Facts) -> str:
@@ -333,17 +386,12 @@ def _named_otherwise(planned: Clearance, flown: Clearance) -> str:
     return f" to {flown.what}" if flown.what != planned.what else ""
 
 
-def _how(facts: Facts) -> str:
-    return "flown" if facts.flown else "planned"
-
-
-def _where(frame: LocalFrame, c: Clearance) -> str:
-    point = frame.geo_point(c.position_m)
-    return f"{point.lat_deg:.5f}, {point.lon_deg:.5f}, {point.alt_amsl_m:.0f} m"
+def _how(sketch: Sketch) -> str:
+    return "flown" if sketch.flown else "by proof"
 
 
 def _metres(value: float, unit: str = " m") -> str:
-    return f"{value:.1f}{unit}" if math.isfinite(value) else "no terrain data"
+    return f"{floored(value, 1)}{unit}" if math.isfinite(value) else "no terrain data"
 
 
 def _length(metres: float) -> str:

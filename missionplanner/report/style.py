@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap, to_hex
 from matplotlib.figure import Figure
 from matplotlib.patheffects import AbstractPathEffect, withStroke
 
@@ -22,6 +23,10 @@ MARGIN = "#e8a33d"
 BAD = "#b3261e"
 STEEL = "#2f3a44"
 FENCE = "#1a6b3c"
+
+ROOM_SHOWN_M = 20.0
+"""Room to spare from which on a leg is drawn as green as can be."""
+_ROOM_COLOURS = LinearSegmentedColormap.from_list("room", ["#f2a100", "#c9c92e", "#2fa05a"])
 
 WIDTH_IN = 9.6
 DPI = 160
@@ -83,6 +88,11 @@ def vehicle_colour(index: int) -> str:
 def vehicle_dashes(index: int) -> tuple[int, tuple[float, ...]] | str:
     """Return the line style that tells apart vehicles that must share a colour."""
     return _DASHES[index // len(_VEHICLE_COLOURS) % len(_DASHES)]
+
+
+def room_colour(room_m: float, *, proven: bool = True) -> str:
+    """Return the colour of a leg that keeps so much more than it must: amber to green; red where it is not proven."""
+    return to_hex(_ROOM_COLOURS(min(max(room_m / ROOM_SHOWN_M, 0.0), 1.0))) if proven else BAD
 
 
 def new_figure(height_in: float, width_in: float = WIDTH_IN) -> Figure:

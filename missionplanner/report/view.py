@@ -22,7 +22,7 @@ from scipy.ndimage import map_coordinates
 
 from missionplanner.geodesy import FloatArray
 from missionplanner.report import style
-from missionplanner.report.facts import Facts, VehicleFacts
+from missionplanner.report.facts import Course, Sketch
 from missionplanner.report.labels import Labels
 from missionplanner.report.maps import fence_sides, map_box, overlaps, within
 from missionplanner.report.relief import Box, Ground, relief_colours, sample_ground
@@ -95,7 +95,7 @@ class _Block:
         return np.asarray((depth < 0) | (self.camera.up(away, positions_m[..., 2]) >= horizon - step))
 
 
-def space_view(facts: Facts, shapes: Sequence[Shape]) -> Figure:
+def space_view(facts: Sketch, shapes: Sequence[Shape]) -> Figure:
     """Draw terrain, obstacles and paths as seen from the air."""
     block, ground = _draw_block(facts, shapes)
     left, right, bottom, top = block.screen
@@ -111,15 +111,15 @@ def space_view(facts: Facts, shapes: Sequence[Shape]) -> Figure:
     _draw_shapes(axes, facts, block, shapes)
     for v in facts.vehicles:
         _draw_vehicle(axes, facts, block, v)
-        labels.avoid_line(block.camera.project(v.plan.path_m))
-        for place in block.camera.project(np.array([v.plan.home_m, v.plan.path_m[-1]])):
+        labels.avoid_line(block.camera.project(v.path_m))
+        for place in block.camera.project(np.array([v.home_m, v.path_m[-1]])):
             labels.avoid_mark(place, 4.5)
     _label(labels, axes, facts, block, shapes)
     _compass(axes, block, ground)
     return figure
 
 
-def _draw_block(facts: Facts, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
+def _draw_block(facts: Sketch, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
     box = map_box(facts, shapes, least_ratio=(0.4, 0.4))
     ground = sample_ground(facts.scene.terrain, box, _GROUND_CELLS)
     sea = any(o.kind == "marine" for o in facts.scene.mission.obstacles)
@@ -129,11 +129,11 @@ def _draw_block(facts: Facts, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
     heights = np.where(np.isfinite(ground.height_amsl_m), ground.height_amsl_m, low)
     west, south, east, north = box
     across = math.hypot(east - west, north - south)
-    highest = max(float(heights.max()), *(float(v.plan.path_m[:, 2].max()) for v in facts.vehicles))
+    highest = max(float(heights.max()), *(float(v.path_m[:, 2].max()) for v in facts.vehicles))
     exaggeration = _exaggeration(highest - low, across)
     base = low - 0.035 * across / exaggeration
     cameras = [_Camera(name, np.array([(west + east) / 2, (south + north) / 2]), base, exaggeration) for name in _VIEWS]
-    paths = np.concatenate([v.plan.path_m for v in facts.vehicles])
+    paths = np.concatenate([v.path_m for v in facts.vehicles])
     camera = max(cameras, key=lambda c: round(float(np.ptp(c.turn(paths)[0])), 3))
 
     corners = np.array([[west, south], [east, south], [east, north], [west, north]])
@@ -151,7 +151,7 @@ def _draw_block(facts: Facts, shapes: Sequence[Shape]) -> tuple[_Block, Ground]:
     screen_up = camera.up(away, map_coordinates(heights, at, order=1, mode="nearest"))
     horizon = np.maximum.accumulate(screen_up, axis=0)
 
-    tallest = [camera.project(v.plan.path_m)[:, 1].max() for v in facts.vehicles]
+    tallest = [camera.project(v.path_m)[:, 1].max() for v in facts.vehicles]
     cap = _cap_m(facts, base)
     tallest += [
         camera.project(np.column_stack([s.outline_m, np.full(len(s.outline_m), min(s.high_m, cap))]))[:, 1].max()
@@ -195,7 +195,7 @@ def _block_edges(right_corner: FloatArray, away_corner: FloatArray, right: Float
     return near, far
 
 
-def _draw_fence(axes: Axes, facts: Facts, block: _Block) -> None:
+def _draw_fence(axes: Axes, facts: Sketch, block: _Block) -> None:
     """Draw the fence's foot along the ground, where it runs through the block."""
     for side in fence_sides(facts):
         line = within(side, block.box)
@@ -204,7 +204,7 @@ def _draw_fence(axes: Axes, facts: Facts, block: _Block) -> None:
             _draw_line(axes, block, foot, style.FENCE, 1.2, zorder=3, hidden=False)
 
 
-def _draw_shapes(axes: Axes, facts: Facts, block: _Block, shapes: Sequence[Shape]) -> None:
+def _draw_shapes(axes: Axes, facts: Sketch, block: _Block, shapes: Sequence[Shape]) -> None:
     cap = _cap_m(facts, block.camera.base_m)
     polygons: list[tuple[float, FloatArray, tuple[float, ...]]] = []
     for shape in shapes:
@@ -235,14 +235,14 @@ def _draw_shapes(axes: Axes, facts: Facts, block: _Block, shapes: Sequence[Shape
         axes.add_collection(collection)
 
 
-def _cap_m(facts: Facts, base_m: float) -> float:
+def _cap_m(facts: Sketch, base_m: float) -> float:
     """Return the altitude at which solids are cut: a little above the highest path."""
-    highest = max(float(v.plan.path_m[:, 2].max()) for v in facts.vehicles)
+    highest = max(float(v.path_m[:, 2].max()) for v in facts.vehicles)
     return highest + 0.12 * (highest - base_m)
 
 
 def _shaded(
-    facts: Facts, block: _Block, facets_m: FloatArray, colour: str, alpha: float
+    facts: Sketch, block: _Block, facets_m: FloatArray, colour: str, alpha: float
 ) -> list[tuple[float, FloatArray, tuple[float, ...]]]:
     """Return depth, outline on the screen and colour of those facets (F, N, 3) that are seen; cut at the ground."""
     ground = facts.scene.terrain.height_amsl_m(facets_m[..., 0], facets_m[..., 1])
@@ -263,9 +263,9 @@ def _shaded(
     return [(float(depth[i]), screen[i], (*shades[i], alpha)) for i in np.flatnonzero(seen)]
 
 
-def _draw_vehicle(axes: Axes, facts: Facts, block: _Block, v: VehicleFacts) -> None:
+def _draw_vehicle(axes: Axes, facts: Sketch, block: _Block, v: Course) -> None:
     colour = style.vehicle_colour(v.index)
-    path = v.plan.path_m
+    path = v.path_m
     below = path.copy()
     below[:, 2] = facts.scene.terrain.height_amsl_m(path[:, 0], path[:, 1])
     seen = block.visible(path) & block.visible(below)
@@ -274,13 +274,13 @@ def _draw_vehicle(axes: Axes, facts: Facts, block: _Block, v: VehicleFacts) -> N
     curtain = [np.concatenate([a, b[::-1]]) for a, b in zip(_runs(top, both), _runs(foot, both), strict=True)]
     axes.add_collection(PolyCollection(curtain, facecolors=colour, alpha=0.13, edgecolors="none", zorder=6))
     _draw_line(axes, block, below, style.INK, 0.7, zorder=6.1, alpha=0.45, hidden=False)
-    home = np.array([v.plan.home_m, path[0]])
+    home = np.array([v.home_m, path[0]])
     _draw_line(axes, block, home, colour, 1.2, zorder=7)
     _draw_line(axes, block, path, colour, 2.1, zorder=7, casing=True)
     if v.flown:
         track = v.flown.en_route.position_m
         _draw_line(axes, block, track[:: max(1, len(track) // 1500)], style.INK, 0.6, zorder=9, hidden=False)
-    places = block.camera.project(np.array([v.plan.home_m, path[-1]]))
+    places = block.camera.project(np.array([v.home_m, path[-1]]))
     axes.plot(
         *places[0], marker="s", markersize=5, color="white", markeredgecolor=colour, markeredgewidth=1.6, zorder=10
     )
@@ -315,10 +315,10 @@ def _runs(line: FloatArray, keep: npt.NDArray[np.bool_]) -> Iterable[FloatArray]
         yield line[begin : end + 1]
 
 
-def _label(labels: Labels, axes: Axes, facts: Facts, block: _Block, shapes: Sequence[Shape]) -> None:
+def _label(labels: Labels, axes: Axes, facts: Sketch, block: _Block, shapes: Sequence[Shape]) -> None:
     for places, word in (
-        (np.array([v.plan.path_m[-1] for v in facts.vehicles]), "goals"),
-        (np.array([v.plan.home_m for v in facts.vehicles]), "homes"),
+        (np.array([v.path_m[-1] for v in facts.vehicles]), "goals"),
+        (np.array([v.home_m for v in facts.vehicles]), "homes"),
     ):
         labels.place_group(
             [v.name for v in facts.vehicles], [style.vehicle_colour(v.index) for v in facts.vehicles],

@@ -2,8 +2,11 @@ from __future__ import annotations
 
 import base64
 import io
+import math
 import re
 from dataclasses import replace
+from html import unescape
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +16,19 @@ import pytest
 from matplotlib.image import imread
 
 from missionplanner import planner, proof
+from missionplanner.certificate import Certificate, Finding
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
 from missionplanner.mission import Mission
 from missionplanner.path_search import PlannedPath
 from missionplanner.plan import FleetFlight, FleetPlan, FlownVehicle, Trajectory
-from missionplanner.report import charts, maps, page, style, view, write_report
-from missionplanner.report.facts import along_m, along_path_m, collect, distances
+from missionplanner.report import charts, maps, page, style, verdicts, view, write_check_report, write_report
+from missionplanner.report.facts import along_m, along_path_m, collect, distances, sketch_of
 from missionplanner.report.labels import Labels
 from missionplanner.report.relief import Ground, contour_interval_m, contour_levels_m, relief_colours
 from missionplanner.report.shapes import Shape, facets, shapes, vertical_range
-from missionplanner.scene import Scene, build_scene
+from missionplanner.scene import Scene, build_check_scene, build_scene
+from missionplanner.sortie import Gap, Leg, Sortie
 
 
 def at(x: float, y: float, agl: float | None = None) -> dict[str, float]:
@@ -65,7 +70,11 @@ def question(vehicles: int = 2, **changes: Any) -> dict[str, Any]:
             "conductor_radius_m": 4,
         },
         "vehicles": [
-            {"name": f"uav{i}", "home": at(-40, 40 * i - 20), "goal": at(600, 40 * i - 20, 60)} for i in range(vehicles)
+            {
+                "name": f"uav{i}", "home": at(-40, 40 * i - 20), "goal": at(600, 40 * i - 20, 60),
+                "safety": {"landing_slope_max_deg": 40}, "return_height_m": 260 + 40 * i,
+            }
+            for i in range(vehicles)
         ],
         **changes,
     }  # fmt: skip
@@ -181,7 +190,7 @@ def test_a_plan_through_the_mast_is_not_clear_and_says_why(tmp_path: Path) -> No
     scene = scene_of(question(vehicles=1, obstacles=[{**MAST, "center": at(300, -20)}], inspection=None))
     html = write_report(tmp_path, scene, plan_of(scene, above_m=0.0)).read_text(encoding="utf-8")
     assert 'class="verdict unclear"' in html
-    assert re.search(r"<li>uav0: mast clearance is -", html)
+    assert re.search(r"<li>uav0: item \d+: mast clearance is -", html)
     assert not (tmp_path / "pictures" / "separation.png").exists()  # nobody to keep apart from
 
 
@@ -202,6 +211,337 @@ def test_of_a_large_fleet_the_tightest_profiles_are_drawn(
         (drawn,) = page._profiles(facts, shapes(scene))
     assert drawn.name == "profile-uav1"
     assert drawn.caption == "Of 2 vehicles, the 1 with the least to spare are drawn."
+
+
+# --- the proof -----------------------------------------------------------------------------------------------------
+
+LOW = Finding(
+    "terrain", "uav0", False, "terrain clearance is 12.50 m, expected 20 m", "raise waypoint 5 by 7.5 m", 12.503, 20.0,
+    seq=5, position_m=(100.0, -20.0, 430.0),
+)  # fmt: skip
+WAIVED = Finding("return", "uav1", False, "the direct return is not asked for", waived=True)
+
+
+def proof_of(plan: FleetPlan) -> Certificate:
+    assert plan.certificate is not None
+    return plan.certificate
+
+
+def with_findings(plan: FleetPlan, *more: Finding) -> FleetPlan:
+    certificate = proof_of(plan)
+    return replace(plan, certificate=replace(certificate, findings=(*certificate.findings, *more)))
+
+
+def proof_part(html: str) -> str:
+    """Return the section on the proof as text, a row or line each."""
+    part = html[html.index('<section class="proof">') : html.index("<h2>Vehicles</h2>")]
+    rows = re.sub(r"</(?:tr|li|p|h3|summary)>", "\0", part)
+    return "\n".join(" ".join(unescape(re.sub(r"<[^>]*>", " ", row)).split()) for row in rows.split("\0"))
+
+
+def test_a_proven_plan_says_what_is_proven_and_what_that_rests_on(
+    scene: Scene, plan: FleetPlan, tmp_path: Path
+) -> None:
+    certificate = replace(proof_of(plan), mission_sha256={"uav0": "ab" * 32, "uav1": "cd" * 32})
+    html = write_report(tmp_path, scene, replace(plan, certificate=certificate)).read_text(encoding="utf-8")
+    lines = proof_part(html).splitlines()
+    assert f"Proof ✓ Proven: all {len(certificate.findings)} checks." in lines
+    assert "NOT PROVEN" not in html.replace("not proven", "")
+    height = next(f for f in certificate.findings if f.check == "terrain" and f.vehicle == "uav0")
+    assert height.value is not None
+    row = next(line for line in lines if line.startswith("proven uav0 ground below"))
+    assert re.search(
+        rf"{re.escape(verdicts.floored(height.value, 2))} m 20 m item {height.seq}; 46\.\d{{5}}, 7\.\d+", row
+    )
+    for assumption in certificate.assumptions:
+        assert assumption in lines or any(line.endswith(assumption) for line in lines)
+    assert any(line.endswith("uav0 abababababab 260 m above home") for line in lines)
+    assert any(line.endswith("uav1 cdcdcdcdcdcd 300 m above home") for line in lines)
+    assert any(f"Proven by missionplanner {certificate.software_version}." in line for line in lines)
+
+
+def test_what_is_not_proven_comes_first_in_red_with_place_and_remedy(
+    scene: Scene, plan: FleetPlan, tmp_path: Path
+) -> None:
+    html = write_report(tmp_path, scene, with_findings(plan, WAIVED, LOW)).read_text(encoding="utf-8")
+    count = len(proof_of(plan).findings) + 2
+    text = proof_part(html)
+    assert f"✕ NOT PROVEN: 1 of {count} checks; 1 waived by the mission." in text
+    assert "All clear" not in html
+    first = html.index('<tr class="unproven">')
+    assert first < html.index('<tr class="waived">') < html.index('<tr class="proven">')
+    row = next(line for line in text.splitlines() if "NOT PROVEN uav0" in line)
+    assert (
+        "terrain clearance is 12.50 m, expected 20 m raise waypoint 5 by 7.5 m 12.50 m 20 m item 5; 46.49982, " in row
+    )
+
+
+def test_what_the_mission_waives_is_amber_and_never_all_proven(scene: Scene, plan: FleetPlan, tmp_path: Path) -> None:
+    again = replace(WAIVED, vehicle="uav0")
+    html = write_report(tmp_path, scene, with_findings(plan, WAIVED, again)).read_text(encoding="utf-8")
+    count = len(proof_of(plan).findings) + 2
+    assert f"! Proven but for what the mission waives: 2 of {count} checks." in proof_part(html)
+    assert 'class="verdict waived"' in html
+    assert "waived by the mission uav1, uav0 way home from everywhere" in proof_part(html)  # told once
+    assert "waived by the mission, of uav1, uav0: the direct return is not asked for" in html
+    assert "Proven: all" not in html
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"certificate": None}, "NOT PROVEN: 2 of 2 checks."),
+        ({"findings": ()}, "NOT PROVEN: 2 of 2 checks."),
+        ({"input_sha256": "0" * 64}, "the certificate is of another mission file or terrain"),
+        ({"without": "uav1"}, "uav1 every item's path is known the certificate says nothing of it"),
+    ],
+    ids=["none", "empty", "another's", "one left out"],
+)
+def test_a_certificate_that_does_not_cover_the_plan_proves_nothing(
+    scene: Scene, plan: FleetPlan, tmp_path: Path, change: dict[str, Any], told: str
+) -> None:
+    certificate: Certificate | None = proof_of(plan)
+    assert certificate is not None
+    if "certificate" in change:
+        certificate = None
+    elif "without" in change:
+        findings = tuple(f for f in certificate.findings if f.vehicle != change["without"])
+        certificate = replace(certificate, findings=findings)
+    else:
+        certificate = replace(certificate, **change)
+    html = write_report(tmp_path, scene, replace(plan, certificate=certificate)).read_text(encoding="utf-8")
+    assert told in proof_part(html)
+    assert 'class="verdict unclear"' in html
+    assert "All clear" not in html
+
+
+def test_nothing_that_a_certificate_says_is_read_as_html(scene: Scene, plan: FleetPlan, tmp_path: Path) -> None:
+    evil = "<script>alert(1)</script>"
+    findings = (
+        replace(LOW, detail=evil, remedy=evil, to=evil),
+        replace(WAIVED, vehicle=f"uav1{evil}", detail=evil),
+        Finding("inspection", evil, True, evil, unit=evil, value=1.0),
+    )
+    certificate = replace(
+        proof_of(with_findings(plan, *findings)),
+        assumptions=(evil,),
+        mission_sha256={evil: evil},
+        software_version=evil,
+    )
+    html = write_report(tmp_path, scene, replace(plan, certificate=certificate)).read_text(encoding="utf-8")
+    assert "<script" not in html
+    assert html.count("&lt;script&gt;") >= 9
+
+
+@pytest.mark.parametrize(
+    ("finding", "figure"),
+    [
+        (Finding("terrain", "a", True, "", value=20.009, required=20.0), "20.00 m"),
+        (Finding("terrain", "a", False, "", value=19.999, required=20.0), "19.99 m"),
+        (Finding("landing", "a", True, "", value=14.991, required=15.0, unit="degrees"), "15.00 degrees"),
+        (Finding("landing", "a", False, "", value=15.001, required=15.0, unit="degrees"), "15.01 degrees"),
+        (Finding("landing", "a", True, "", value=1e-9, required=15.0, unit="degrees"), "0.00 degrees"),
+        (Finding("terrain", "a", True, "", value=20.0, required=20.0), "20 m"),
+        (Finding("terrain", "a", False, "", value=-math.inf, required=20.0), "not known"),
+        (Finding("inspection", "", True, "", value=0.836, required=0.8, unit=""), "83 %"),
+        (Finding("turn", "a", True, ""), "\N{EN DASH}"),
+    ],
+)
+def test_figures_are_rounded_to_the_safe_side(scene: Scene, finding: Finding, figure: str) -> None:
+    told = verdicts.section(None, [finding], scene.frame)
+    assert (*told.open_rows, *told.proven_rows)[0].figure == figure
+
+
+@pytest.mark.parametrize(
+    ("late", "words"),
+    [
+        ((3.29, 2.0, True), "All keep apart while none is more than 3.2 s early or late, asked for is 2 s."),
+        (
+            (1.99, 2.0, False),
+            "All keep apart while none is more than 1.9 s early or late, asked for is 2 s: NOT PROVEN.",
+        ),
+    ],
+)
+def test_how_late_anyone_may_be_is_told_beside_the_distances(
+    scene: Scene, plan: FleetPlan, tmp_path: Path, late: tuple[float, float, bool], words: str
+) -> None:
+    value, required, proven = late
+    finding = Finding("lateness", "uav0 - uav1", proven, "", value=value, required=required, unit="s")
+    others = tuple(f for f in proof_of(plan).findings if f.check != "lateness")
+    certificate = replace(proof_of(plan), findings=(*others, finding))
+    html = write_report(tmp_path, scene, replace(plan, certificate=certificate)).read_text(encoding="utf-8")
+    assert words in html[html.index("<h2>Distance between the vehicles</h2>") :]
+
+
+def test_of_many_proven_pairs_the_tightest_are_listed(scene: Scene) -> None:
+    pairs = [
+        Finding("return", f"a{i} - b", True, "apart", value=30.0 + (i * 7) % 100, required=26.0) for i in range(100)
+    ]
+    told = verdicts.section(None, [*pairs, replace(WAIVED, vehicle="a - b"), LOW], scene.frame)
+    assert told.proven_pairs_left == 100 - len(told.proven_rows) > 0
+    assert [row.figure for row in told.proven_rows][:3] == ["30.00 m", "31.00 m", "32.00 m"]
+    assert [row.state for row in told.open_rows] == ["unproven", "waived"]
+
+
+def test_legs_are_as_green_as_they_have_room_and_red_where_not_proven() -> None:
+    red, amber, green = (style.room_colour(room) for room in (-5.0, 0.0, style.ROOM_SHOWN_M))
+    assert red == amber != green == style.room_colour(1e9)
+    assert style.room_colour(1e9, proven=False) == style.BAD
+
+
+# --- missions that were not planned here -----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def check_scene() -> Scene:
+    data = question(vehicles=3, description="<i>checked</i>")
+    data["vehicles"][2].update({"class": "plane", "return_height_m": 320})
+    return build_check_scene(Mission.model_validate(data), Path(), [])
+
+
+def sortie(scene: Scene, index: int, *legs: Leg, **changes: Any) -> Sortie:
+    task = scene.tasks[index]
+    said = {"vehicle_class": "copter", "ending": "rtl", **changes}
+    return Sortie(
+        name=task.name, sysid=task.sysid, autopilot="ardupilot", home_m=task.home_m, legs=legs,
+        ending_seq=legs[-1].seq + 1, start_delay_s=0.0, return_height_m=task.motion.return_height_m, **said,
+    )  # fmt: skip
+
+
+def leg(scene: Scene, seq: int, kind: Any, x: float, y: float, agl_m: float, **changes: Any) -> Leg:
+    z = float(scene.terrain.height_amsl_m(x, y))
+    return Leg(seq, kind, np.array([x, y, (z if math.isfinite(z) else 400.0) + agl_m]), 8.0, **changes)
+
+
+@pytest.fixture(scope="module")
+def sorties(check_scene: Scene) -> list[Sortie]:
+    s = check_scene
+    return [
+        sortie(
+            s, 0, leg(s, 1, "takeoff", -40, -20, 40), leg(s, 3, "straight", 100, -60, 60),
+            leg(s, 4, "spline", 250, -120, 70), leg(s, 5, "spline", 330, 40, 60), leg(s, 6, "straight", 450, 120, 50),
+        ),
+        sortie(
+            s, 1, leg(s, 1, "takeoff", -40, 20, 40), leg(s, 2, "straight", 60, 150, 80),
+            leg(s, 3, "circle", 150, 330, 90, radius_m=50.0, turns=2.0), leg(s, 6, "straight", 600, 380, 60),
+            ending="land", gaps=(Gap(5, "DO_JUMP: <u>repeats</u> items"),),
+        ),
+        sortie(
+            s, 2, leg(s, 1, "takeoff", 150, 60, 150), leg(s, 2, "straight", 500, 60, 200),
+            leg(s, 3, "straight", 100, 350, 200), vehicle_class="plane", ending="loiter",
+        ),
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def checked(check_scene: Scene, sorties: list[Sortie]) -> Certificate:
+    return proof.prove(check_scene, sorties)
+
+
+def test_a_check_has_a_page_of_its_own(
+    check_scene: Scene, sorties: list[Sortie], checked: Certificate, tmp_path: Path
+) -> None:
+    path = write_check_report(tmp_path, check_scene, checked, sorties)
+    html = path.read_text(encoding="utf-8")
+    assert path == tmp_path / "check.html"
+    assert f"NOT PROVEN: {len(checked.problems)} of {len(checked.findings)} checks." in html
+    assert "DO_JUMP: &lt;u&gt;repeats&lt;/u&gt; items" in html
+    assert "&lt;i&gt;checked&lt;/i&gt;" in html
+    assert not re.search(r"<[ui]>", html)
+    embedded = {base64.b64decode(data) for data in re.findall(r"base64,([^\"]*)", html)}
+    saved = {picture.name: picture.read_bytes() for picture in (tmp_path / "pictures").glob("*.png")}
+    assert set(saved) == {"map.png", "profile-uav0.png", "profile-uav1.png", "profile-uav2.png"}
+    assert embedded == set(saved.values())
+    again = write_check_report(tmp_path / "again", check_scene, checked, sorties)
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_legs_are_drawn_where_they_are_flown(check_scene: Scene, sorties: list[Sortie], checked: Certificate) -> None:
+    copter, circling, plane = sketch_of(check_scene, checked, sorties).vehicles
+    spline = next(leg for leg in copter.legs if leg.kind == "spline")
+    assert len(spline.line_m) > 5
+    assert np.allclose(spline.line_m[[0, -1]], [sorties[0].legs[1].end_m, sorties[0].legs[2].end_m])
+    home = copter.legs[-2]
+    assert (home.kind, len(home.line_m)) == ("return", 3)  # up, then over home
+    ring = next(leg for leg in circling.legs if leg.kind == "circle").line_m[1:]
+    assert np.allclose(np.linalg.norm(ring - sorties[1].legs[2].end_m, axis=1), 50.0)
+    (flight,) = [f for f in proof.predict(check_scene, sorties) if f.sortie.vehicle_class == "plane"]
+    drawn = {tuple(point) for leg in plane.legs for point in leg.line_m.tolist()}
+    assert drawn >= {tuple(point) for point in flight.trajectory.position_m.tolist()}
+    for one, other in pairwise(plane.legs):
+        assert np.array_equal(one.line_m[-1], other.line_m[0])
+
+
+def test_the_legs_after_what_is_not_understood_are_not_shown_as_proven(
+    check_scene: Scene, sorties: list[Sortie], checked: Certificate
+) -> None:
+    assured = replace(checked, legs=tuple(replace(verdict, proven=True) for verdict in checked.legs))
+    gap = next(f for f in checked.findings if f.check == "understood" and not f.proven)
+    course = sketch_of(check_scene, replace(assured, findings=(gap,)), sorties).vehicles[1]
+    assert [leg.proven for leg in course.legs] == [leg.seq < 5 for leg in course.legs]
+    steep = Finding("angle", "uav1", False, "too steep", seq=2)
+    course = sketch_of(check_scene, replace(assured, findings=(steep,)), sorties).vehicles[1]
+    assert [leg.seq for leg in course.legs if not leg.proven] == [2]
+
+
+def test_room_to_spare_is_what_the_tightest_leaves(
+    check_scene: Scene, sorties: list[Sortie], checked: Certificate
+) -> None:
+    course = sketch_of(check_scene, checked, sorties).vehicles[0]
+    limits = course.task.limits
+    verdict = next(v for v in checked.legs if v.vehicle == "uav0" and v.seq == 6)
+    tight = replace(verdict, terrain_m=limits.terrain_margin_m + 9.0, obstacle_m=limits.obstacle_margin_m + 4.0)
+    for change, room_m in (({}, 4.0), ({"fence_m": limits.obstacle_margin_m + 1.5}, 1.5), ({"obstacle_m": None}, 9.0)):
+        changed = replace(tight, **{"fence_m": 1e3, **change})  # type: ignore[arg-type]
+        nowhere = Trajectory(np.zeros(1), np.zeros((1, 3)))
+        (drawn,) = verdicts.leg_facts(course.task, [changed], [], sorties[0], nowhere, np.zeros(5))
+        assert drawn.room_m == pytest.approx(room_m)
+
+
+def red_share(png: bytes) -> float:
+    picture = np.asarray(imread(io.BytesIO(png)), dtype=float)[..., :3]
+    red = np.array([int(style.BAD[i : i + 2], 16) for i in (1, 3, 5)]) / 255.0
+    return float((np.abs(picture - red).max(axis=-1) < 0.04).mean())
+
+
+def test_a_leg_that_is_not_proven_is_red_on_its_height_profile(scene: Scene, plan: FleetPlan) -> None:
+    shares = []
+    for one in (plan, with_findings(plan, LOW)):
+        facts = collect(scene, one, None)
+        with style.look():
+            figure = charts.height_profile(facts, shapes(scene), facts.vehicles[0])
+            shares.append(red_share(style.to_png(figure)))
+            words = {text.get_text() for text in figure.axes[0].texts}
+    assert shares[0] == 0.0
+    assert shares[1] > 1e-3
+    assert "item 5" in words
+
+
+def test_a_mission_over_unknown_ground_is_drawn_without_it(check_scene: Scene) -> None:
+    s = check_scene
+    away = sortie(s, 0, leg(s, 1, "takeoff", 5000, 5000, 40), leg(s, 2, "straight", 5200, 5000, 60))
+    away = replace(away, home_m=np.array([5000.0, 5000.0, 400.0]), ending="land")
+    certificate = proof.prove(s, [away])
+    sketch = sketch_of(s, certificate, [away])
+    with style.look():
+        figure = charts.height_profile(sketch, shapes(s), sketch.vehicles[0])
+        style.to_png(figure)
+    said = " ".join(text.get_text() for text in figure.texts)
+    assert "height above ground not known" in said
+    assert "pale red: ground unknown" in said
+
+
+def test_the_ground_that_counts_is_what_the_tubes_underside_meets(scene: Scene) -> None:
+    way = np.column_stack([np.linspace(100.0, 300.0, 50), np.full(50, 60.0), np.full(50, 600.0)])
+    tube_m = np.where(np.arange(50) < 25, 0.0, 8.0)
+    found = charts._ground_under_tube(scene.terrain, way, tube_m)
+    below = scene.terrain.height_amsl_m(way[:, 0], way[:, 1])
+    assert np.allclose(found[:25], below[:25])
+    aside = np.linspace(-8.0, 8.0, 401)
+    drop = 8.0 - np.sqrt(64.0 - aside**2)
+    heights = scene.terrain.height_amsl_m(way[25:, :1] + 0.0 * aside, way[25:, 1:2] + aside) - drop
+    assert np.allclose(found[25:], heights.max(axis=1), atol=0.3)
+    assert (found[25:] > below[25:]).all()  # the way runs along a slope
 
 
 # --- facts ---------------------------------------------------------------------------------------------------------

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import pytest
 from rich.console import Console
+from rich.table import Table
 
+from missionplanner.certificate import Certificate, Finding
+from missionplanner.flight_check import FlightCheck
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownVehicle
-from missionplanner.proof import FlightCheck
-from missionplanner.summary import fleet_lines, summarise, vehicle_table
+from missionplanner.summary import certificate_table, fleet_lines, moves_table, summarise, vehicle_table
 from tests.plans import fleet_plan, small_fleet
 
 TERRAIN = Clearance(31.4159, 22.0, "terrain", (1.0, 2.0, 3.0))
@@ -33,10 +35,28 @@ def flight(fleet: FleetPlan, *arrivals_s: float | None) -> FleetFlight:
     )
 
 
-def printed(summary: dict[str, object]) -> str:
+HELD = Finding("terrain", "uav1", True, "its tube stays at least 31.00 m above the ground", value=31.0, required=20.0)
+LATE = Finding("lateness", "uav1 - uav2", True, "all keep apart", value=3.1999, required=1.0, unit="s")
+FAILED = Finding("obstacle", "uav2", False, "mast clearance is 3.00 m", "move waypoint 4", 3.0, 10.0, seq=4)
+WAIVED = Finding("return", "uav1", False, "the direct return is not asked for", waived=True)
+
+
+def certificate(*findings: Finding) -> Certificate:
+    return Certificate(findings, (), ("wind of at most 3 m/s",), {}, {}, "0" * 64, "0")
+
+
+def proven_by(*findings: Finding) -> dict[str, object]:
+    return summarise(replace(plan(separation=None, arrival_s=None), certificate=certificate(*findings)))
+
+
+def shown(table: Table) -> str:
     out = io.StringIO()
-    Console(file=out, width=160).print(vehicle_table(summary))
+    Console(file=out, width=160).print(table)
     return out.getvalue()
+
+
+def printed(summary: dict[str, object]) -> str:
+    return shown(vehicle_table(summary))
 
 
 def test_a_plan_in_figures() -> None:
@@ -101,5 +121,54 @@ def test_a_single_vehicle_without_obstacles() -> None:
     alone = replace(fleet, vehicles=(replace(fleet.vehicles[0], clearances=(TERRAIN,)),))
     summary = summarise(alone)
     assert summary["fleet"] == {"arrival_s": None, "separation": None, "clear": True}
-    assert fleet_lines(summary) == []
+    assert fleet_lines(summary)[0].startswith("proven: NO")  # nobody has proven it
     assert "-" in printed(summary)
+
+
+def test_a_proof_in_figures_promises_no_more_than_is_proven() -> None:
+    summary = proven_by(HELD, LATE)
+    assert summary["proof"] == {"proven": True, "problems": [], "waived": [], "lateness_s": 3.19}
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+    assert fleet_lines(summary) == ["proven: yes; all keep apart while none is more than 3.19 s early or late"]
+
+
+def test_what_is_not_proven_is_told_with_its_remedy() -> None:
+    summary = proven_by(HELD, FAILED, WAIVED)
+    told = "uav2: item 4: mast clearance is 3.00 m: move waypoint 4"
+    assert summary["proof"]["proven"] is False  # type: ignore[index]
+    assert summary["proof"]["problems"] == [told]  # type: ignore[index]
+    assert fleet_lines(summary) == [
+        "proven: NO, 1 check failed",
+        f"  not proven: {told}",
+        "  waived: uav1: the direct return is not asked for",
+    ]
+
+
+def test_what_the_mission_waives_is_never_just_proven() -> None:
+    lines = fleet_lines(proven_by(HELD, WAIVED))
+    assert lines[0] == "proven: yes, but for what the mission waives (1)"
+
+
+@pytest.mark.parametrize("fleet", [plan(), replace(plan(), certificate=certificate())], ids=["no proof", "empty proof"])
+def test_what_nobody_checked_is_not_proven(fleet: FleetPlan) -> None:
+    summary = summarise(fleet)
+    assert summary["proof"]["proven"] is False
+    assert summary["proof"]["lateness_s"] is None
+    assert fleet_lines(summary)[0].startswith("proven: NO")
+
+
+def test_a_certificate_in_a_table_has_what_fails_first() -> None:
+    text = shown(certificate_table(certificate(HELD, WAIVED, replace(FAILED, detail="[red]mast[/red] is near"))))
+    assert "NOT PROVEN" in text.splitlines()[0]
+    places = [text.index(part) for part in ("[red]mast[/red] is near: move waypoint 4", "waived", "its tube stays")]
+    assert places == sorted(places)
+    assert shown(certificate_table(certificate(HELD))).startswith("proven")
+    assert shown(certificate_table(certificate())).startswith("NOT PROVEN")
+
+
+def test_moved_waypoints_in_a_table() -> None:
+    after = {"lat_deg": 46.5, "lon_deg": 8.0, "alt_amsl_m": 112.25}
+    move = {"vehicle": "uav1", "seq": 7, "shifted_m": 0.0, "course_deg": None, "raised_m": 12.25, "after": after}
+    text = shown(moves_table([move, {**move, "shifted_m": 3.5, "course_deg": 271.4}]))
+    for part in ("waypoints moved: 2", "uav1", "7", "+12.25", "46.5000000, 8.0000000", "112.25", "3.50", "271"):
+        assert part in text
