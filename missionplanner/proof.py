@@ -136,7 +136,7 @@ def planned_sortie(scene: Scene, vehicle: VehiclePlan) -> Sortie:
         sysid=vehicle.sysid,
         autopilot=vehicle.autopilot,
         vehicle_class=vehicle.vehicle_class,
-        home_m=vehicle.home_m,
+        home_m=held(vehicle.home_m) if vehicle.autopilot == "ardupilot" else vehicle.home_m,
         legs=legs,
         ending=vehicle.end,
         ending_seq=seqs[-1] + 1,
@@ -542,7 +542,7 @@ def _landings(scene: Scene, flight: Flight) -> list[Finding]:
                 sortie.name,
                 proven,
                 f"{what}: the ground is not known"
-                if math.isinf(slope)
+                if not math.isfinite(slope)
                 else f"{what} lies on ground of at most {angle_deg:.1f} degrees, allowed {most_deg:g}",
                 "" if proven else "move it to level ground, or raise safety.landing_slope_max_deg",
                 angle_deg if math.isfinite(slope) else None,
