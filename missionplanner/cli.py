@@ -419,11 +419,13 @@ def _leave(link: FleetLink, *, simulated: bool) -> None:
 
 @app.command()
 def report(folder: PlanFolder, as_json: AsJson = False) -> None:
-    """Write FOLDER/report.html: maps, profiles, separation, arrival windows, convergence, and the flight if flown."""
+    """Write FOLDER/report.html: proof, maps, profiles, separation, arrival windows, and the flight if flown."""
+    from adapters.certificates import certify_plan
     from missionplanner.plan_folder import load_flight, load_plan
     from missionplanner.report import write_report
 
     scene, fleet_plan = load_plan(folder)
+    fleet_plan = replace(fleet_plan, certificate=certify_plan(scene, fleet_plan))
     path = write_report(folder, scene, fleet_plan, load_flight(folder, fleet_plan))
     _print_json({"report": str(path)}) if as_json else _stdout.print(str(path), soft_wrap=True, highlight=False)
 
@@ -529,7 +531,7 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
     for path in (folder / FILES).iterdir():
         if again and path.suffix in {".plan", ".waypoints"} and path not in written:
             path.unlink()  # of an earlier plan: nobody shall upload it by mistake
-    return fleet_plan
+    return replace(fleet_plan, certificate=certificate)
 
 
 def _load_proven(folder: Path, *, unproven: bool) -> tuple[Scene, FleetPlan]:
@@ -541,12 +543,13 @@ def _load_proven(folder: Path, *, unproven: bool) -> tuple[Scene, FleetPlan]:
     from missionplanner.plan_folder import load_plan, uncertified
 
     scene, fleet_plan = load_plan(folder)
-    problem = uncertified(folder, certify_plan(scene, fleet_plan))
+    certificate = certify_plan(scene, fleet_plan)
+    problem = uncertified(folder, certificate)
     if problem is not None and unproven:
         _stderr.print(f"UNPROVEN: {problem}", style="bold red", soft_wrap=True, highlight=False)
     elif problem is not None:
         raise InfeasibleError(f"{folder}: {problem}; nothing was sent")
-    return scene, fleet_plan
+    return scene, replace(fleet_plan, certificate=certificate)
 
 
 def _check_folder(folder: Path) -> tuple[Certificate, dict[str, Path]]:
@@ -628,7 +631,7 @@ def _show(
         return
     _stdout.print(vehicle_table(summary))
     for line in [*fleet_lines(summary), *(f"{what}: {path}" for what, path in files.items())]:
-        _stdout.print(line, soft_wrap=True, highlight=False)
+        _stdout.print(line, soft_wrap=True, highlight=False, markup=False)
 
 
 def _progress() -> Progress:

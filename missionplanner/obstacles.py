@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -200,6 +201,42 @@ def _touch(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
 def _is_convex(xy: FloatArray) -> bool:
     turns = [_turn(xy[k - 2], xy[k - 1], xy[k]) for k in range(len(xy))]
     return all(t >= 0.0 for t in turns) or all(t <= 0.0 for t in turns)
+
+
+def beneath(obstacles: Obstacles) -> list[Solid]:
+    """Return solids that fill the room below what hangs in the air: who climbs straight up must not start there.
+
+    Below a sloping cable, up to its lower end piece by piece.
+    """
+    arrays = obstacles.arrays
+    found: list[Solid] = []
+    for i, (name, hard) in enumerate(zip(obstacles.names, arrays.hard.tolist(), strict=True)):
+        row = arrays.params[i].tolist()
+        match int(arrays.kind[i]) if hard else None:
+            case kernels.RADAR | kernels.MARINE:
+                found.append(CylinderSolid(name, row[0], row[1], row[3], row[2]))
+            case kernels.PRISM if math.isfinite(row[0]):
+                outline = arrays.vertices[arrays.vertex_start[i] : arrays.vertex_start[i + 1]]
+                found.append(PrismSolid(name, outline, top_amsl_m=row[0]))
+            case kernels.CABLE:
+                found += _below_cable(name, np.array(row[:3]), np.array(row[3:6]), row[6])
+    return found
+
+
+_CABLE_PIECES = 4
+
+
+def _below_cable(name: str, start: FloatArray, end: FloatArray, radius_m: float) -> list[Solid]:
+    along = end - start
+    across_m = math.hypot(along[0], along[1])
+    if across_m < radius_m:
+        return []
+    side = np.array([-along[1], along[0]]) / across_m * radius_m
+    ends = [start + along * (k / _CABLE_PIECES) for k in range(_CABLE_PIECES + 1)]
+    return [
+        PrismSolid(name, np.stack([a[:2] - side, b[:2] - side, b[:2] + side, a[:2] + side]), top_amsl_m=min(a[2], b[2]))
+        for a, b in pairwise(ends)
+    ]
 
 
 def join(first: ObstacleArrays, second: ObstacleArrays) -> ObstacleArrays:

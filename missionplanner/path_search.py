@@ -113,7 +113,7 @@ def find_path(
     on_iteration
         Told the share of the search that is done.
     wider_m
-        How much more than the margins is to be kept.
+        How much more than the margins is looked for, where there is room.
 
     Raises
     ------
@@ -136,9 +136,7 @@ def find_path(
         result = _search(family, price, settings, rng, on_iteration if attempt == 0 else None)
         settled = _settled(family, result.best, price)
         for path_m in np.round(family.paths(np.stack([settled, result.best, family.guess])), 3):
-            waypoints = _flyable_legs(
-                path_m, family.stops, task, space, bounds, settings.waypoint_tolerance_m, wider_m + _WIRE_M
-            )
+            waypoints = _flyable_legs(path_m, family.stops, task, space, bounds, settings.waypoint_tolerance_m)
             if waypoints is not None and flown_is_clear(waypoints):
                 return PlannedPath(
                     path_m=path_m,
@@ -211,7 +209,6 @@ def _flyable_legs(
     space: SpaceArrays,
     bounds: Pyramid,
     tolerance_m: float,
-    wider_m: float,
 ) -> FloatArray | None:
     """Return waypoints when the curve is clear and the legs fitted to it are proven, else None."""
     limits, margins = task.limits, Margins.of(task.limits)
@@ -223,7 +220,7 @@ def _flyable_legs(
         path_m,
         stops,
         tolerance_m,
-        lambda legs: legs_within_angles(limits, legs, 1e-6) & tubes_clear(space, bounds, limits, legs, wider_m),
+        lambda legs: legs_within_angles(limits, legs, 1e-6) & tubes_clear(space, bounds, limits, legs, _WIRE_M),
     )
 
 

@@ -22,11 +22,12 @@ from missionplanner.cost import Price
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
-from missionplanner.obstacles import CableSolid
+from missionplanner.obstacles import CableSolid, CylinderSolid, Solid
 from missionplanner.path import evenly
 from missionplanner.path_search import PlannedPath, find_path
 from missionplanner.plan import FleetPlan, Trajectory, VehiclePlan
 from missionplanner.proof import Conflict
+from missionplanner.returns import UnreturnableError
 from missionplanner.scene import Scene, Towers, VehicleTask
 
 _FELLOW_INSTANTS = 128
@@ -36,6 +37,7 @@ _AVOID_S = 20.0
 """How long before and after a conflict the other's flight is kept clear of."""
 _DELAY_S = 15.0
 _PROOFS = 4
+_MENDS = 8
 _ROOM_M = 1.0
 """How much further off a vehicle is planned again that was not proven, beyond what it lacked."""
 _ROUTE_ROOM_M = 5.0
@@ -92,16 +94,18 @@ class _Team:
         self._watch = watch
         self._generators = np.random.default_rng(seed).spawn(len(scene.tasks))
         self._wider_m = [0.0] * len(scene.tasks)
-        self._avoided: list[list[CableSolid]] = [[] for _ in scene.tasks]
+        self._mends = _MENDS
+        self._overhead = _overhead(scene)
+        self._avoided: list[list[Solid]] = [[] for _ in scene.tasks]
         self._delays_s = [index * scene.mission.fleet.launch_interval_s for index in range(len(scene.tasks))]
         self._paths: list[PlannedPath] = []
         for index in range(len(scene.tasks)):
             self._paths.append(self._path(index, [], self._paths))
 
-    def _path(self, index: int, avoided: Sequence[CableSolid], fellows: Sequence[PlannedPath]) -> PlannedPath:
+    def _path(self, index: int, avoided: Sequence[Solid], fellows: Sequence[PlannedPath]) -> PlannedPath:
         task = self._scene.tasks[index]
         rng, wider_m = self._generators[index], self._wider_m[index]
-        return _path(self._scene, avoided, task, fellows, rng, self._watch, wider_m)
+        return _path(self._scene, [*self._overhead, *avoided], task, fellows, rng, self._watch, wider_m)
 
     def _fellows(self, index: int) -> list[PlannedPath]:
         return [path for k, path in enumerate(self._paths) if k != index]
@@ -126,7 +130,12 @@ class _Team:
             plan = assemble(scene, self._paths, schedules, arrival_s, self._seed)
             conflict = proof.worst_conflict(scene, plan)
             if conflict is None:
-                returned = with_return_heights(scene, plan)
+                try:
+                    returned = with_return_heights(scene, plan)
+                except UnreturnableError as error:
+                    if not self._mended(error, plan, round_):
+                        raise
+                    continue
                 plan = assemble(returned, self._paths, schedules, arrival_s, self._seed)
                 conflict = proof.worst_conflict(returned, plan)  # who returns at its end now does so at its own height
             if conflict is None:
@@ -138,11 +147,14 @@ class _Team:
             "fleet.launch_interval_s, or lower fleet.separation_m"
         )
 
-    def _part(self, conflict: Conflict, plan: FleetPlan, round_: int) -> bool:
-        """Plan one of two again around the other's flight: the later one, when that has not parted them the other."""
+    def _part(self, conflict: Conflict, plan: FleetPlan, round_: int, *, tall: bool = False) -> bool:
+        """Plan one of two again around the other's flight: the later one, when that has not parted them the other.
+
+        ``tall``: neither above nor below it either.
+        """
         for index in (conflict.second, conflict.first) if round_ % 2 == 0 else (conflict.first, conflict.second):
             other = plan.vehicles[conflict.first if index == conflict.second else conflict.second]
-            flight = _flight_around(other, conflict, self._scene.tasks[index])
+            flight = _flight_around(other, conflict, self._scene.tasks[index], tall=tall)
             try:
                 self._paths[index] = self._path(index, [*self._avoided[index], *flight], self._fellows(index))
             except InfeasibleError:
@@ -150,6 +162,20 @@ class _Team:
             self._avoided[index] += flight
             return True
         return False
+
+    def _mended(self, error: UnreturnableError, plan: FleetPlan, round_: int) -> bool:
+        """Plan those again who cannot return, or not apart; False where nothing was found to help."""
+        names = [task.name for task in self._scene.tasks]
+        who = [names.index(name) for name in error.vehicles]
+        self._mends -= 1
+        if self._mends < 0 or error.t_s is None:
+            return False
+        if len(who) == 1:
+            return error.short_m > 0.0 and self._roomier(who[0], error.short_m)
+        first, second = sorted(who)
+        required_m = proof.required_apart_m(self._scene, self._scene.tasks[first], self._scene.tasks[second])
+        over = Conflict(first, second, (names[first], names[second]), 0.0, required_m, error.t_s)
+        return self._part(over, plan, round_, tall=True)  # who climbs home must not be below another's way
 
     def _delay(self, conflict: Conflict, arrival_s: float | None) -> bool:
         if arrival_s is not None and conflict.t_s > 0.5 * arrival_s:
@@ -163,12 +189,18 @@ class _Team:
         helped = [f for f in problems if f.check in ("terrain", "obstacle", "fence", "ceiling", "turn", "angle")]
         for index in {names.index(f.vehicle) for f in helped}:
             short_m = [f.required - f.value for f in helped if f.vehicle == names[index] and f.value and f.required]
-            self._wider_m[index] += _ROOM_M + max([0.0, *(m for m in short_m if m < np.inf)])
-            try:
-                self._paths[index] = self._path(index, self._avoided[index], self._fellows(index))
-            except InfeasibleError:
+            if not self._roomier(index, max([0.0, *(m for m in short_m if m < np.inf)])):
                 return False
         return len(helped) == len(problems)
+
+    def _roomier(self, index: int, short_m: float) -> bool:
+        """Plan one vehicle again, further off everything by what it lacks and a little more."""
+        self._wider_m[index] += _ROOM_M + short_m
+        try:
+            self._paths[index] = self._path(index, self._avoided[index], self._fellows(index))
+        except InfeasibleError:
+            return False
+        return True
 
 
 def with_return_heights(scene: Scene, plan: FleetPlan) -> Scene:
@@ -327,7 +359,7 @@ def _goal_ground(scene: Scene, task: VehicleTask) -> float:
 
 def _path(
     scene: Scene,
-    avoided: Sequence[CableSolid],
+    avoided: Sequence[Solid],
     task: VehicleTask,
     fellows: Sequence[PlannedPath],
     rng: np.random.Generator,
@@ -370,7 +402,7 @@ def _path(
                 task.motion, task.home_m, waypoints_m, speed_m_s, end=task.end, ground_amsl_m=ground_amsl_m
             )
             flown = proof.chords(trajectory, float(reached_s[0]))
-            if not tubes_clear(space, scene.terrain.bounds, task.limits, flown, proof.CHORD_ERROR_M + wider_m).all():
+            if not tubes_clear(space, scene.terrain.bounds, task.limits, flown, proof.CHORD_ERROR_M).all():
                 return False
         return True
 
@@ -403,19 +435,48 @@ def _unvisited(scene: Scene) -> Towers | None:
     return replace(towers, names=names, top_m=towers.top_m[left], weight=towers.weight[left])
 
 
-def _flight_around(other: VehiclePlan, conflict: Conflict, task: VehicleTask) -> list[CableSolid]:
+def _overhead(scene: Scene) -> list[Solid]:
+    """Return the room below what hangs in the air, where anybody could fly there: who returns climbs straight up."""
+    if scene.mission.fleet.direct_return == "waived":
+        return []
+    # a vehicle's tube fits below only where there is room for it and for both its margins
+    need_m = min(Margins.of(task.limits).height_agl_min_m + Margins.of(task.limits).obstacle_m for task in scene.tasks)
+    return [solid for solid in obstacles.beneath(scene.obstacles) if _room_below_m(scene, solid) > need_m]
+
+
+def _room_below_m(scene: Scene, solid: Solid) -> float:
+    """Return how high the top of what fills the room below something is above the ground there, at most."""
+    match solid:
+        case obstacles.PrismSolid(xy=xy, top_amsl_m=top_m):
+            corners = np.concatenate([xy, 0.5 * (xy + np.roll(xy, -1, axis=0)), xy.mean(axis=0)[np.newaxis]])
+        case CylinderSolid(x=x, y=y, radius_m=radius_m, top_amsl_m=top_m):
+            turn = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
+            corners = np.array([x, y]) + radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        case _:
+            return np.inf
+    ground_m = scene.terrain.height_amsl_m(corners[:, 0], corners[:, 1])
+    return top_m - float(np.nanmin(ground_m)) if np.isfinite(ground_m).any() else np.inf
+
+
+def _flight_around(other: VehiclePlan, conflict: Conflict, task: VehicleTask, *, tall: bool) -> Sequence[Solid]:
     """Return the other's predicted flight around the conflict as solids that ``task`` keeps clear of."""
     times = np.linspace(conflict.t_s - _AVOID_S, conflict.t_s + _AVOID_S, 17)
     points = other.trajectory.at(times)
+    route_m = task.route_m * [1.0, 1.0, 0.0] if tall else task.route_m
+    if tall:
+        points[:, 2] = 0.0
     points = points[np.concatenate([[True], np.linalg.norm(np.diff(points, axis=0), axis=1) > 1e-3])]
     if len(points) == 1:
         points = np.concatenate([points, points + np.array([0.0, 0.0, 0.1])])
     legs = polyline_legs(points)
     # the other may pass close to where this one must go, only not at the same time: its route stays open
-    room_m = np.min([distance_to_legs_m(point, legs) for point in task.route_m], axis=0) - _ROUTE_ROOM_M
+    room_m = np.min([distance_to_legs_m(point, legs) for point in route_m], axis=0) - _ROUTE_ROOM_M
     radius_m = np.minimum(conflict.required_m + 1.0, room_m) - Margins.of(task.limits).obstacle_m
-    return [CableSolid(other.name, a, b, float(r)) for (a, b), r in zip(legs, radius_m, strict=True) if r > 0.5]
+    found = [(a, b, float(r)) for (a, b), r in zip(legs, radius_m, strict=True) if r > 0.5]
+    if tall:
+        return [CylinderSolid(other.name, float(x), float(y), r) for a, b, r in found for x, y, _ in (a, b)]
+    return [CableSolid(other.name, a, b, r) for a, b, r in found]
 
 
-def _with(space: SpaceArrays, solids: Sequence[CableSolid]) -> SpaceArrays:
+def _with(space: SpaceArrays, solids: Sequence[Solid]) -> SpaceArrays:
     return space._replace(obstacles=obstacles.join(space.obstacles, obstacles.pack(solids).arrays))

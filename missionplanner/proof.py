@@ -227,41 +227,64 @@ def _tubes(scene: Scene, flight: Flight) -> list[_Tube]:
     if flight.sortie.vehicle_class == "plane":
         return _predicted_tubes(flight)
     sortie, tubes = flight.sortie, []
-    before = sortie.home_m
-    anywhere_m = 0.0  # around there: where on a circle the next leg begins is not known
+    begins = sortie.home_m[np.newaxis]  # where the next leg may begin: anywhere on a circle
+    wider_m = 0.0  # what lies between those places
     for index, leg in enumerate(sortie.legs):
         match leg.kind:
-            case "takeoff":
-                tubes.append(_Tube(leg, leg.kind, _line(before, leg.end_m), 0.0, over_terrain=False))
-            case "straight":
-                tubes.append(_Tube(leg, leg.kind, _line(before, leg.end_m), anywhere_m, over_terrain=True))
+            case "takeoff" | "straight":
+                way = _ways(begins, leg.end_m)
+                tubes.append(_Tube(leg, leg.kind, way, wider_m, over_terrain=leg.kind == "straight"))
             case "spline":
                 curve = spline_chords(sortie, index, _SPLINE_CHORD_M)
-                wider_m = _SPLINE_CHORD_M + anywhere_m
-                tubes.append(_Tube(leg, leg.kind, polyline_legs(curve), wider_m, over_terrain=True))
+                tubes.append(_Tube(leg, leg.kind, polyline_legs(curve), _SPLINE_CHORD_M, over_terrain=True))
             case "circle":
-                wider_m = max(anywhere_m, leg.radius_m)
-                tubes.append(_Tube(leg, leg.kind, _line(before, leg.end_m), wider_m, over_terrain=True))
-        before, anywhere_m = leg.end_m, leg.radius_m if leg.kind == "circle" else 0.0
+                ring = _ring(leg.end_m, leg.radius_m)
+                way = np.concatenate([_ways(begins, leg.end_m), polyline_legs(ring)])
+                tubes.append(_Tube(leg, leg.kind, way, max(wider_m, _between_m(leg.radius_m)), over_terrain=True))
+        begins, wider_m = leg.end_m[np.newaxis], 0.0
+        if leg.kind == "circle":
+            begins, wider_m = ring, _between_m(leg.radius_m)
     last = replace(sortie.legs[-1], seq=sortie.ending_seq)
     match sortie.ending:
         case "land":
-            ground = np.array([*before[:2], flight.trajectory.position_m[-1, 2]])
-            tubes.append(_Tube(last, "land", _line(before, ground), anywhere_m, over_terrain=False))
+            ground = np.array([*sortie.legs[-1].end_m[:2], flight.trajectory.position_m[-1, 2]])
+            tubes.append(_Tube(last, "land", _columns(begins, ground[2]), wider_m, over_terrain=False))
         case "rtl":
             motion = replace(flight.task.motion, return_height_m=sortie.return_height_m)
-            level_m = motion.return_alt_amsl_m(float(before[2]), float(sortie.home_m[2]))
-            turn, above = np.array([*before[:2], level_m]), np.array([*sortie.home_m[:2], level_m])
-            way = polyline_legs(np.stack([before, turn, above]))
-            tubes.append(_Tube(last, "return", way, anywhere_m, over_terrain=True))
-            tubes.append(_Tube(last, "land", _line(above, sortie.home_m), 0.0, over_terrain=False))
+            level_m = motion.return_alt_amsl_m(float(begins[0, 2]), float(sortie.home_m[2]))
+            up, above = _columns(begins, level_m), np.array([*sortie.home_m[:2], level_m])
+            way = np.concatenate([up, _ways(up[:, 1], above)])
+            tubes.append(_Tube(last, "return", way, wider_m, over_terrain=True))
+            tubes.append(_Tube(last, "land", _ways(above[np.newaxis], sortie.home_m), 0.0, over_terrain=False))
         case "loiter":
-            tubes.append(_Tube(last, "loiter", _line(before, before), anywhere_m, over_terrain=True))
+            tubes.append(_Tube(last, "loiter", np.stack([begins, begins], axis=1), wider_m, over_terrain=True))
     return tubes
 
 
-def _line(start: FloatArray, end: FloatArray) -> FloatArray:
-    return np.stack([start, end])[np.newaxis]
+_RING_SIDES = 64
+
+
+def _ring(centre_m: FloatArray, radius_m: float) -> FloatArray:
+    """Return a closed polygon (N, 3) on a level circle."""
+    angle = np.linspace(0.0, 2.0 * math.pi, _RING_SIDES + 1)
+    return centre_m + radius_m * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
+
+
+def _between_m(radius_m: float) -> float:
+    """Return how far a place on a circle is at most from the nearest corner of its polygon."""
+    return 2.0 * radius_m * math.sin(0.25 * 2.0 * math.pi / _RING_SIDES)
+
+
+def _ways(starts_m: FloatArray, end_m: FloatArray) -> FloatArray:
+    """Return legs (N, 2, 3) from places (N, 3) to one."""
+    return np.stack([starts_m, np.broadcast_to(end_m, starts_m.shape)], axis=1)
+
+
+def _columns(places_m: FloatArray, alt_amsl_m: float) -> FloatArray:
+    """Return vertical legs (N, 2, 3) from places (N, 3) to one altitude."""
+    ends = places_m.copy()
+    ends[:, 2] = alt_amsl_m
+    return np.stack([places_m, ends], axis=1)
 
 
 def chords(trajectory: Trajectory, from_s: float) -> FloatArray:
@@ -289,7 +312,8 @@ def _understood(flight: Flight) -> Finding:
     sortie = flight.sortie
     if not sortie.gaps:
         return Finding("understood", sortie.name, True, "the path of every mission item is known")
-    told = "; ".join(f"item {gap.seq}: {gap.what}" for gap in sortie.gaps)
+    first, *others = sortie.gaps  # the finding names the first one's item itself
+    told = "; ".join([first.what, *(f"item {gap.seq}: {gap.what}" for gap in others)])
     return Finding(
         "understood", sortie.name, False, told, "replace it by waypoints with altitudes", seq=sortie.gaps[0].seq
     )
