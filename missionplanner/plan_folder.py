@@ -167,6 +167,10 @@ def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
         problem = _misfit(task, vehicle, index * mission.fleet.launch_interval_s)
         if problem is not None:
             raise MissionError(f"{path}: {task.name}: expected {problem}: plan the mission again")
+    if record.arrival_s is None and mission.fleet.arrive_together:
+        raise MissionError(
+            f"{path}: expected a common arrival (fleet.arrive_together), got none: plan the mission again"
+        )
     paths = [_path(vehicle) for vehicle in record.vehicles]
     scene = planner.returning_at(scene, {v.name: v.return_height_m for v in record.vehicles})
     schedules = [Schedule(v.start_delay_s, v.speed_m_s, v.window_s) for v in record.vehicles]

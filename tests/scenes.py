@@ -37,10 +37,14 @@ def question(*vehicles: dict[str, Any], **changes: Any) -> dict[str, Any]:
 
 
 def hilly(folder: Path, **changes: Any) -> dict[str, Any]:
-    """Return a mission of one copter across the analytic hill, whose elevation file is written to ``folder``."""
+    """Return a mission of one copter across the analytic hill, whose elevation file is written to ``folder``.
+
+    It lands where the hill is 19 degrees steep, and is allowed to.
+    """
     hill_in(folder / "hill.tif", "EPSG:32611", 20.0)
     terrain = {"kind": "raster", "file": "hill.tif"}
-    return question(copter("alpha", (-500, 0), (0, 50))) | {"terrain": terrain} | changes
+    defaults = {"safety": {"landing_slope_max_deg": 25}}
+    return question(copter("alpha", (-500, 0), (0, 50))) | {"terrain": terrain, "defaults": defaults} | changes
 
 
 def scene_of(data: dict[str, Any], folder: Path = Path()) -> Scene:

@@ -10,10 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from missionplanner.certificate import Certificate
 from missionplanner.errors import MissionError
 from missionplanner.plan import FleetFlight, FleetPlan, FlownVehicle, Trajectory
-from missionplanner.plan_folder import FLIGHT_NAME, PLAN_NAME, load_flight, load_plan, save_flight, save_plan
-from missionplanner.planner import plan_fleet
+from missionplanner.plan_folder import (
+    CERTIFICATE_NAME,
+    FLIGHT_NAME,
+    PLAN_NAME,
+    load_flight,
+    load_plan,
+    save_certificate,
+    save_flight,
+    save_plan,
+    uncertified,
+)
+from missionplanner.planner import plan_fleet, returning_at
 from missionplanner.scene import TERRAIN_NAME, Scene
 from tests.scenes import at, copter, hilly, question, scene_of
 
@@ -76,7 +87,11 @@ def test_what_is_loaded_is_what_was_saved(small: tuple[Scene, FleetPlan], folder
     assert mission.vehicles == plan.mission.vehicles
     assert mission.terrain == plan.mission.terrain
     assert loaded_scene.input_sha256 == scene.input_sha256
-    assert_same(loaded_scene.tasks, scene.tasks)
+    heights_m = {vehicle.name: vehicle.motion.return_height_m for vehicle in plan.vehicles}
+    assert all(type(height_m) is float for height_m in heights_m.values())
+    assert_same(loaded_scene.tasks, returning_at(scene, heights_m).tasks)
+    assert loaded.certificate is not None
+    assert loaded.certificate.proven
 
 
 def test_saving_what_was_loaded_gives_the_same_bytes(folder: Path, tmp_path: Path) -> None:
@@ -98,6 +113,9 @@ def test_a_folder_with_terrain_goes_anywhere_without_the_original(tmp_path: Path
     shutil.move(here / "plan", tmp_path / "there")
     shutil.rmtree(here)
     loaded_scene, loaded = load_plan(tmp_path / "there")
+    assert plan.certificate is not None
+    told = tuple(line.replace("hill.tif", TERRAIN_NAME) for line in plan.certificate.assumptions)
+    plan = replace(plan, certificate=replace(plan.certificate, assumptions=told))
     assert_same(replace(loaded, mission=plan.mission), plan)
     assert loaded_scene.input_sha256 == scene.input_sha256
     assert loaded.vehicles[0].clearances == plan.vehicles[0].clearances
@@ -107,10 +125,12 @@ def test_a_folder_with_terrain_goes_anywhere_without_the_original(tmp_path: Path
         assert (tmp_path / "again" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
 
 
-def test_a_plan_of_an_earlier_flight_is_told_apart(small: tuple[Scene, FleetPlan], folder: Path) -> None:
+def test_flight_and_certificate_of_an_earlier_plan_are_removed(small: tuple[Scene, FleetPlan], folder: Path) -> None:
     save_flight(folder, flight_of(small[1]))
+    save_certificate(folder, certified(small))
     save_plan(folder, *small)
     assert not (folder / FLIGHT_NAME).exists()
+    assert not (folder / CERTIFICATE_NAME).exists()
 
 
 def test_the_document_is_strict_json_with_its_version_first(folder: Path) -> None:
@@ -119,7 +139,7 @@ def test_the_document_is_strict_json_with_its_version_first(folder: Path) -> Non
 
     document = json.loads((folder / PLAN_NAME).read_text(), parse_constant=refuse)
     assert list(document)[:2] == ["format", "version"]
-    assert (document["format"], document["version"]) == ("missionplanner-plan", 1)
+    assert (document["format"], document["version"]) == ("missionplanner-plan", 2)
     for vehicle in document["vehicles"]:
         assert vehicle["waypoints"][-1]["reached_s"] == pytest.approx(vehicle["arrival_s"], abs=1e-3)
         assert all(c["ok"] for c in vehicle["clearances"])
@@ -201,7 +221,45 @@ def test_a_waypoint_that_no_flight_reaches_is_refused_at_once(folder: Path) -> N
 @pytest.mark.parametrize("text", ["", "null", "[]", "{}", "[" * 100_000, '{"format": "missionplanner-plan"}'])
 def test_what_is_no_plan_is_said_to_be_none(folder: Path, text: str) -> None:
     (folder / PLAN_NAME).write_text(text)
-    assert "expected what this program wrote (version 1), got a damaged file" in problem_of(folder)
+    assert "expected what this program wrote (version 2), got a damaged file" in problem_of(folder)
+
+
+def test_a_plan_of_version_1_is_refused(folder: Path) -> None:
+    edit(folder, lambda d: d.update(version=1))
+    assert "expected what this program wrote (version 2)" in problem_of(folder)
+
+
+@pytest.mark.parametrize("height_m", [0.0, -5.0, None, "high"])
+def test_a_return_height_that_is_none_is_refused(folder: Path, height_m: object) -> None:
+    edit(folder, lambda d: d["vehicles"][1].update(return_height_m=height_m))
+    assert "vehicles.1.return_height_m" in problem_of(folder)
+
+
+def test_another_return_height_is_proven_anew(small: tuple[Scene, FleetPlan], folder: Path) -> None:
+    planned_m = [vehicle.motion.return_height_m for vehicle in small[1].vehicles]
+    assert planned_m[0] > 120 + 10  # above the mast
+    edit(folder, lambda d: d["vehicles"][0].update(return_height_m=30.0))
+    plan = load_plan(folder)[1]
+    assert [vehicle.motion.return_height_m for vehicle in plan.vehicles] == [30.0, planned_m[1]]
+    assert plan.certificate is not None
+    assert not plan.certificate.proven
+    assert {finding.check for finding in plan.certificate.problems} == {"return"}
+
+
+def test_a_waypoint_moved_into_the_mast_is_not_proven(folder: Path) -> None:
+    edit(folder, lambda d: waypoints(d).insert(at_stop(d, 1), {"position_m": [150.0, 5.0, 140.0]}))
+    certificate = load_plan(folder)[1].certificate
+    assert certificate is not None
+    assert "obstacle" in {finding.check for finding in certificate.problems}
+
+
+def test_another_arrival_is_not_proven_and_none_is_refused(folder: Path) -> None:
+    edit(folder, lambda d: d.update(arrival_s=d["arrival_s"] + 5.0))
+    certificate = load_plan(folder)[1].certificate
+    assert certificate is not None
+    assert {finding.check for finding in certificate.problems} == {"arrival"}
+    edit(folder, lambda d: d.update(arrival_s=None))
+    assert "expected a common arrival (fleet.arrive_together), got none" in problem_of(folder)
 
 
 def test_verdicts_in_the_file_are_not_believed(folder: Path) -> None:
@@ -216,6 +274,70 @@ def test_verdicts_in_the_file_are_not_believed(folder: Path) -> None:
     edit(folder, boast)
     assert_same(load_plan(folder)[1].vehicles, honest.vehicles)
     assert_same(load_plan(folder)[1].separation, honest.separation)
+
+
+# --- certificates
+
+
+def certified(small: tuple[Scene, FleetPlan]) -> Certificate:
+    """Return the plan's certificate as if its missions had been read back."""
+    certificate = small[1].certificate
+    assert certificate is not None
+    return replace(certificate, mission_sha256={"alpha": "a" * 64, "bravo": "b" * 64})
+
+
+def test_a_certificate_covers_just_its_own_missions(small: tuple[Scene, FleetPlan], folder: Path) -> None:
+    fresh = certified(small)
+    assert "there is no " in str(uncertified(folder, fresh))
+    path = save_certificate(folder, fresh)
+    assert path == folder / CERTIFICATE_NAME
+    assert uncertified(folder, fresh) is None
+    others = replace(fresh, mission_sha256={**fresh.mission_sha256, "bravo": "c" * 64})
+    assert "is of other missions than those that would be sent" in str(uncertified(folder, others))
+    fewer = replace(fresh, mission_sha256={"alpha": "a" * 64})
+    assert "is of other missions" in str(uncertified(folder, fewer))
+    elsewhere = replace(fresh, input_sha256="0" * 64)
+    assert "is of another mission file or terrain" in str(uncertified(folder, elsewhere))
+
+
+def test_neither_side_of_a_certificate_is_believed_alone(small: tuple[Scene, FleetPlan], folder: Path) -> None:
+    fresh = certified(small)
+    failed = replace(fresh, findings=(replace(fresh.findings[0], proven=False, detail="no such luck"),))
+    save_certificate(folder, fresh)
+    assert str(uncertified(folder, failed)).startswith("not proven: alpha: no such luck")
+    save_certificate(folder, failed)
+    assert "certificate.json says so: check the plan again" in str(uncertified(folder, fresh))
+    # boasting does not help: what is proven now counts
+    document = json.loads((folder / CERTIFICATE_NAME).read_text())
+    (folder / CERTIFICATE_NAME).write_text(json.dumps(document | {"proven": True}))
+    assert uncertified(folder, failed) is not None
+
+
+@pytest.mark.parametrize("text", ["", "{}", "null", '{"format": "missionplanner-certificate", "version": 1}'])
+def test_a_damaged_certificate_covers_nothing(small: tuple[Scene, FleetPlan], folder: Path, text: str) -> None:
+    (folder / CERTIFICATE_NAME).write_text(text)
+    told = uncertified(folder, certified(small))
+    assert told is not None
+    assert "damaged file" in told
+    assert "check the plan again" in told
+    assert "\n" not in told
+
+
+def test_a_certificate_file_is_strict_json_with_its_version_first(small: tuple[Scene, FleetPlan], folder: Path) -> None:
+    def refuse(constant: str) -> None:
+        raise AssertionError(constant)
+
+    endless = replace(certified(small).findings[0], value=float("-inf"), t_s=float("nan"))
+    path = save_certificate(folder, replace(certified(small), findings=(endless,)))
+    document = json.loads(path.read_text(), parse_constant=refuse)
+    assert list(document)[:2] == ["format", "version"]
+    assert (document["format"], document["version"]) == ("missionplanner-certificate", 1)
+    assert document["mission_sha256"] == {"alpha": "a" * 64, "bravo": "b" * 64}
+    assert document["return_height_m"] == dict(certified(small).return_height_m)
+    save_certificate(folder, certified(small))
+    first = path.read_bytes()
+    save_certificate(folder, certified(small))
+    assert path.read_bytes() == first
 
 
 # --- flights

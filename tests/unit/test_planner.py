@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pytest
 
+from adapters.sorties import plan_sortie
 from missionplanner import proof
 from missionplanner.errors import InfeasibleError
-from missionplanner.plan import FleetPlan
-from missionplanner.planner import plan_fleet
+from missionplanner.plan import FleetPlan, Trajectory
+from missionplanner.planner import plan_fleet, returning_at
 from missionplanner.scene import Scene
 from tests.scenes import at, copter, question, scene_of
 
@@ -20,20 +23,42 @@ RING = [("east", 120, 0), ("north", 0, 120), ("west", -120, 0), ("south", 0, -12
 SWAP = [copter(name, (x, y), (-0.8 * x + 0.2 * y, -0.8 * y - 0.2 * x)) for name, x, y in RING]
 CROSSING = [copter("alpha", (0, 0), (300, 0)), copter("bravo", (150, -150), (150, 150))]
 MAST = {"kind": "cylinder", "name": "mast", "center": at(150, 2), "radius_m": 8}
+TOWER = {"kind": "cylinder", "name": "tower", "center": at(200, 40), "radius_m": 8, "top_height_agl_m": 80}
+WAIVED = {"direct_return": "waived"}
+APART_M = 20 + 3 + 3
+"""The fleet's separation, and what each of two copters may be off its predicted flight."""
 
 
 def planned(*vehicles: dict[str, Any], seed: int | None = None, **changes: Any) -> tuple[Scene, FleetPlan]:
     scene = scene_of(question(*vehicles, **changes))
     plan = plan_fleet(scene, seed=seed)
-    assert proof.unsafe(scene, plan) == []
+    assert_proven(scene, plan)
     return scene, plan
+
+
+def assert_proven(scene: Scene, plan: FleetPlan) -> None:
+    """Check that a plan carries a certificate, and that what its vehicles will hold is proven again from its items."""
+    certificate = plan.certificate
+    assert certificate is not None
+    assert certificate.proven
+    assert certificate.problems == ()
+    assert certificate.return_height_m == {v.name: v.motion.return_height_m for v in plan.vehicles}
+    sorties = [plan_sortie(vehicle, plan.frame) for vehicle in plan.vehicles]
+    again = proof.prove(scene, sorties, arrival_s=plan.arrival_s)
+    assert [str(finding) for finding in again.problems] == []
+    assert {leg.vehicle for leg in certificate.legs} == {v.name for v in plan.vehicles}
+    for vehicle in plan.vehicles:
+        assert all(clearance.ok for clearance in vehicle.clearances)
 
 
 def least_distance_m(plan: FleetPlan) -> float:
     """Return the least distance of any two predicted flights, sampled every 0.02 s."""
-    end_s = max(float(v.trajectory.t_s[-1]) for v in plan.vehicles)
-    t_s = np.arange(0.0, end_s, 0.02)
-    places = [v.trajectory.at(t_s) for v in plan.vehicles]
+    return least_between_m([v.trajectory for v in plan.vehicles])
+
+
+def least_between_m(flights: Sequence[Trajectory]) -> float:
+    t_s = np.arange(0.0, max(float(flight.t_s[-1]) for flight in flights), 0.02)
+    places = [flight.at(t_s) for flight in flights]
     return min(float(np.linalg.norm(a - b, axis=1).min()) for a, b in combinations(places, 2))
 
 
@@ -57,10 +82,14 @@ def test_all_arrive_together_with_speeds_in_their_ranges() -> None:
 
 @pytest.mark.parametrize("vehicles", [CROSSING, SWAP], ids=["crossing", "swap"])
 def test_fleets_whose_straight_ways_cross_are_parted(vehicles: list[dict[str, Any]]) -> None:
-    _, plan = planned(*vehicles)
-    assert least_distance_m(plan) >= 24.0 - 1e-6
+    scene, plan = planned(*vehicles, fleet=WAIVED)
+    assert least_distance_m(plan) >= APART_M - 1e-6
+    # what is proven is the flight of the missions as they are sent, to 1e-7 degrees
+    sent = proof.predict(scene, [plan_sortie(vehicle, plan.frame) for vehicle in plan.vehicles])
+    sampled_m = least_between_m([flight.trajectory for flight in sent])
     assert plan.separation is not None
-    assert plan.separation.distance_m <= least_distance_m(plan) + 1e-6
+    assert plan.separation.distance_m <= sampled_m + 1e-6
+    assert plan.separation.distance_m == pytest.approx(sampled_m, abs=0.2)
     assert plan.separation.distance_m == pytest.approx(least_distance_m(plan), abs=0.2)
     spread_s = [v.arrival_s for v in plan.vehicles]
     assert max(spread_s) - min(spread_s) <= 0.1
@@ -79,18 +108,18 @@ def test_fleets_whose_straight_ways_cross_are_parted(vehicles: list[dict[str, An
 )
 def test_who_meets_although_their_ways_were_priced_is_planned_again(vehicles: list[dict[str, Any]]) -> None:
     news: list[tuple[str, float]] = []
-    scene = scene_of(question(*vehicles, fleet={"arrive_together": False}))
+    scene = scene_of(question(*vehicles, fleet={"arrive_together": False, **WAIVED}))
     plan = plan_fleet(scene, watch=lambda vehicle, done: news.append((vehicle, done)))
     assert [name for name, done in news if done == 1.0].count("bravo") > 1  # else this tests nothing
-    assert proof.unsafe(scene, plan) == []
-    assert least_distance_m(plan) >= 24.0 - 1e-6
+    assert_proven(scene, plan)
+    assert least_distance_m(plan) >= APART_M - 1e-6
 
 
 def test_ways_may_cross_at_different_times() -> None:
     # bravo starts long after alpha has passed: no need to go around
-    _, plan = planned(*CROSSING, fleet={"arrive_together": False, "launch_interval_s": 60})
+    _, plan = planned(*CROSSING, fleet={"arrive_together": False, "launch_interval_s": 60, **WAIVED})
     assert least_between_ways_m(plan) < 12.0
-    assert least_distance_m(plan) >= 24.0
+    assert least_distance_m(plan) >= APART_M
 
 
 def test_launches_keep_their_interval() -> None:
@@ -144,8 +173,8 @@ def test_windows_that_do_not_meet() -> None:
 
 def test_a_fleet_that_cannot_be_parted_is_refused_with_its_pair() -> None:
     # two that must pass each other in a lane too narrow and low for it, arriving together
-    lane = {"south_west": at(-40, -13), "north_east": at(340, 13)}
-    low = {"height_agl_max_m": 45}
+    lane = {"south_west": at(-40, -18), "north_east": at(340, 18)}
+    low = {"height_agl_max_m": 46}
     vehicles = [copter("alpha", (0, 0), (300, 0), **low), copter("bravo", (260, 0), (40, 0), **low)]
     with pytest.raises(InfeasibleError, match=r"alpha and bravo come within|bravo and alpha come within") as raised:
         planned(*vehicles, area=lane)
@@ -154,15 +183,23 @@ def test_a_fleet_that_cannot_be_parted_is_refused_with_its_pair() -> None:
 
 
 def test_endurance_too_short_is_refused() -> None:
-    with pytest.raises(InfeasibleError, match=r"alpha: flies \d+ s, longer than its endurance of 45 s"):
+    with pytest.raises(InfeasibleError, match=r"^not proven: alpha: takes \d+\.\d% of its battery, allowed 80%"):
         planned(copter("alpha", (0, 0), (300, 0), endurance_s=45))
+    _, plan = planned(copter("alpha", (0, 0), (300, 0), endurance_s=450))
+    assert plan.certificate is not None
+    used, home = (f for f in plan.certificate.findings if f.check == "energy")
+    assert used.value is not None
+    assert home.value is not None
+    assert used.value > (plan.vehicles[0].trajectory.t_s[-1] - 1.0) / 450
+    assert used.value < home.value <= 0.8  # from far off, there is more to fly than to land
 
 
 def test_the_seed_decides_everything() -> None:
     # hills leave much to choose: how high, and how far to the side
     peaks = [{**at(x, y), "height_m": 90, "spread_m": 70} for x, y in ((100, 30), (200, -60), (150, 120))]
-    terrain = {"kind": "peaks", "base_alt_amsl_m": 100, "peaks": peaks}
-    changes: dict[str, Any] = {"terrain": terrain, "planner": {"population": 20, "iterations": 40}}
+    terrain = {"kind": "peaks", "base_alt_amsl_m": 100, "cell_m": 30, "peaks": peaks}
+    changes: dict[str, Any] = {"terrain": terrain, "planner": {"population": 20, "iterations": 40}, "fleet": WAIVED}
+    changes["defaults"] = {"safety": {"landing_slope_max_deg": 60}}
     _, one = planned(*CROSSING, seed=3, **changes)
     _, same = planned(*CROSSING, seed=3, **changes)
     for a, b in zip(one.vehicles, same.vehicles, strict=True):
@@ -184,9 +221,8 @@ def test_either_autopilot_and_every_ending(autopilot: str, end: str) -> None:
         copter("alpha", (0, 0), (300, 0), stops=[stop]),
         copter("bravo", (0, 90), (300, 90)),
     ]
-    mast = {**MAST, "center": at(200, 40)}
-    scene, plan = planned(*vehicles, defaults={"autopilot": autopilot, "end": end}, obstacles=[mast])
-    assert least_distance_m(plan) >= 24.0 - 1e-6
+    scene, plan = planned(*vehicles, defaults={"autopilot": autopilot, "end": end}, obstacles=[TOWER])
+    assert least_distance_m(plan) >= APART_M - 1e-6
     for task, vehicle in zip(scene.tasks, plan.vehicles, strict=True):
         assert (vehicle.autopilot, vehicle.end) == (autopilot, end)
         last = vehicle.trajectory.position_m[-1]
@@ -194,6 +230,111 @@ def test_either_autopilot_and_every_ending(autopilot: str, end: str) -> None:
         np.testing.assert_allclose(last, expected, atol=2.0)  # the radius within which a waypoint counts as reached
         stops = np.linalg.norm(vehicle.waypoints_m[:, None] - task.route_m[None], axis=-1).min(axis=0)
         assert stops.max() < 1e-3
+
+
+# --- the certificate
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_plan_always_carries_the_certificate_of_what_it_sends(autopilot: str) -> None:
+    scene, plan = planned(obstacles=[TOWER], defaults={"autopilot": autopilot})
+    assert plan.certificate is not None
+    checks = {finding.check for finding in plan.certificate.findings}
+    assert checks >= {"terrain", "obstacle", "fence", "angle", "turn", "speed", "landing", "understood", "return"}
+    assert checks >= {"separation", "lateness", "arrival"}
+    assert plan.certificate.input_sha256 == scene.input_sha256
+    # what the vehicles' plans say is what it says
+    for vehicle in plan.vehicles:
+        assert vehicle.clearances == proof.clearances(plan.certificate, vehicle.name)
+        assert [c.what for c in vehicle.clearances] == ["terrain", "tower", "fence"]
+    assert plan.separation is not None
+    assert plan.separation.required_m == APART_M
+
+
+def test_beside_a_steep_hill_it_is_planned_until_the_whole_tube_is_proven() -> None:
+    terrain = {"kind": "peaks", "base_alt_amsl_m": 100}
+    terrain |= {"peaks": [{**at(150, 60), "height_m": 100, "spread_m": 60}]}
+    scene, plan = planned(copter("alpha", (0, 0), (300, 0)), terrain=terrain, fleet=WAIVED)
+    assert scene.terrain.height_amsl_m(150.0, 0.0) > 130  # a straight way keeps too little
+    (terrain_m,) = [c for c in plan.vehicles[0].clearances if c.what == "terrain"]
+    assert terrain_m.distance_m >= 20.0
+
+
+def test_all_keep_apart_also_when_one_is_late() -> None:
+    fleet = {"arrive_together": False, "launch_interval_s": 60, **WAIVED}
+    _, plan = planned(*CROSSING, fleet={**fleet, "lateness_s": 8})
+    (late,) = [f for f in plan.certificate.findings if f.check == "lateness"] if plan.certificate else []
+    assert late.value is not None
+    assert late.value >= 8.0
+    # by that much, either may be early or late: the least distance over all shifts, sampled
+    one, other = (v.trajectory for v in plan.vehicles)
+    t_s = np.arange(0.0, max(one.t_s[-1], other.t_s[-1]), 0.05)
+    for shift_s in np.linspace(-8.0, 8.0, 33):
+        assert np.linalg.norm(one.at(t_s) - other.at(t_s + shift_s), axis=1).min() >= APART_M - 0.5
+
+
+def test_a_lateness_that_cannot_be_had_is_refused() -> None:
+    # they cross: however far apart they start, who is hours late meets the other
+    fleet = {"arrive_together": False, "launch_interval_s": 25, "lateness_s": 55, **WAIVED}
+    low = {"height_agl_max_m": 46}
+    with pytest.raises(InfeasibleError, match=r"alpha - bravo: all keep apart while none is more than .* early or la"):
+        planned(*({**vehicle, **low} for vehicle in CROSSING), fleet=fleet)
+
+
+# --- the way home
+
+
+def test_return_heights_are_the_least_that_are_clear_and_apart() -> None:
+    scene, plan = planned(copter("alpha", (0, 0), (300, 0)), obstacles=[{**TOWER, "center": at(150, 12)}])
+    (alpha,) = plan.vehicles
+    # 80 m of tower, 10 m of safety, 3 m of errors; whole metres, and a metre or two for the climb
+    assert 93 <= alpha.motion.return_height_m <= 96
+    assert alpha.motion.return_height_m == round(alpha.motion.return_height_m)
+    sortie = plan_sortie(alpha, plan.frame)
+    lower = proof.prove(scene, [replace(sortie, return_height_m=alpha.motion.return_height_m - 3)])
+    assert "return" in {finding.check for finding in lower.problems}
+
+
+def test_return_heights_are_staggered_where_ways_home_cross() -> None:
+    # their missions keep 40 m apart, their direct ways home cross
+    alpha = copter("alpha", (0, 0), (300, 100), goal=at(300, 100, agl=40))
+    bravo = copter("bravo", (0, 60), (300, -40), goal=at(300, -40, agl=80), takeoff_height_m=80)
+    scene, plan = planned(alpha, bravo)
+    assert plan.certificate is not None
+    (pair,) = [f for f in plan.certificate.findings if f.check == "return" and f.vehicle == "alpha - bravo"]
+    assert pair.value is not None
+    assert pair.value >= APART_M
+    sorties = [plan_sortie(vehicle, plan.frame) for vehicle in plan.vehicles]
+    heights_m = [sortie.return_height_m for sortie in sorties]
+    level = [replace(sortie, return_height_m=max(*heights_m, 100.0)) for sortie in sorties]
+    unproven = [f.vehicle for f in proof.prove(scene, level).problems if f.check == "return"]
+    assert unproven == ["alpha - bravo"]
+
+
+def test_the_return_height_that_is_asked_for_is_kept() -> None:
+    _, plan = planned(copter("alpha", (0, 0), (300, 0), return_height_m=77))
+    assert plan.vehicles[0].motion.return_height_m == 77.0
+
+
+def test_a_return_that_cannot_be_proven_is_infeasible_unless_it_is_waived() -> None:
+    # a mast without a top stands on the way home from a stop behind it
+    vehicle = copter("alpha", (0, 0), (300, 100), stops=[at(300, 5, agl=40)])
+    blocked = {"obstacles": [MAST]}
+    with pytest.raises(InfeasibleError, match=r"alpha.*return") as raised:
+        planned(vehicle, **blocked)
+    assert "\n" not in str(raised.value)
+    assert "fleet.direct_return: waived" in str(raised.value)
+    _, plan = planned(vehicle, **blocked, fleet=WAIVED)
+    assert plan.certificate is not None
+    (finding,) = [f for f in plan.certificate.findings if f.check == "return"]
+    assert (finding.proven, finding.waived) == (False, True)
+
+
+def test_heights_that_are_given_are_returned_at() -> None:
+    scene = scene_of(question())
+    changed = returning_at(scene, {"bravo": 55.0})
+    assert [task.motion.return_height_m for task in changed.tasks] == [15.0, 55.0]
+    assert [task.motion.return_height_m for task in scene.tasks] == [15.0, 15.0]
 
 
 def test_the_planner_tells_how_it_goes_on() -> None:
@@ -209,5 +350,5 @@ def test_the_planner_tells_how_it_goes_on() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(1, 21))
 def test_twenty_seeds_of_a_crowded_crossing(seed: int) -> None:
-    _, plan = planned(*SWAP, seed=seed, obstacles=[{**MAST, "center": at(5, 5)}])
-    assert least_distance_m(plan) >= 24.0 - 1e-6
+    _, plan = planned(*SWAP, seed=seed, obstacles=[{**MAST, "center": at(5, 5)}], fleet=WAIVED)
+    assert least_distance_m(plan) >= APART_M - 1e-6

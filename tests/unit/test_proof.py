@@ -596,20 +596,24 @@ def test_a_spline_too_steep_is_told() -> None:
     assert not finding.proven
 
 
-def test_around_a_circle_everything_counts() -> None:
-    # around its centre, 40 m wide, and from anywhere on it to the next waypoint
-    post = {"kind": "cylinder", "name": "post", "center": at(150, 60), "radius_m": 4.9}
-
-    def circling(post: dict[str, Any]) -> Certificate:
-        there = scene(obstacles=[post])
-        legs = (leg(150, 0, kind="circle", radius_m=40.0, turns=2.0), leg(300, 0, seq=4))
-        return proof.prove(there, [sortie(there, *legs, ending_seq=5)])
-
-    assert found(circling({**post, "center": at(150, 60.1)}), "obstacle").proven
-    grazed = found(circling({**post, "center": at(150, 59.8)}), "obstacle")
-    assert (grazed.proven, grazed.seq) == (False, 3)
-    after = found(circling({**post, "center": at(225, 59.8)}), "obstacle")
-    assert (after.proven, after.seq) == (False, 4)
+@pytest.mark.parametrize(
+    ("x_m", "y_m", "seqs"), [(150, 60, {3, 4}), (110, -45, {3, 4}), (50, 20, {3}), (225, 35, {4}), (290, -20, {4})]
+)
+def test_around_a_circle_everything_counts(x_m: float, y_m: float, seqs: set[int]) -> None:
+    # the way to its centre, all around it, and from anywhere on it to the next waypoint
+    post = {"kind": "cylinder", "name": "post", "center": at(x_m, y_m), "radius_m": 1}
+    there = scene(obstacles=[post])
+    legs = (leg(150, 0, kind="circle", radius_m=40.0, turns=2.0), leg(300, 0, seq=4))
+    finding = found(proof.prove(there, [sortie(there, *legs, ending_seq=5)]), "obstacle")
+    angle = np.linspace(0.0, 2.0 * np.pi, 5000)
+    ring = np.stack([150 + 40 * np.cos(angle), 40 * np.sin(angle), np.full_like(angle, 140)], axis=-1)
+    onwards = np.stack([ring, np.broadcast_to([300.0, 0.0, 140.0], ring.shape)], axis=1)
+    to_center = np.array([[[0.0, 0.0, 140.0], [150.0, 0.0, 140.0]]])
+    center = np.array([x_m, y_m, 140.0])
+    exact_m = min(distance_to_legs_m(center, ways).min() for ways in (polyline_legs(ring), onwards, to_center)) - 1 - 5
+    assert finding.value is not None
+    assert exact_m - 2.0 <= finding.value <= exact_m + ROUNDING_M
+    assert finding.seq in seqs  # on the circle begins the leg after it as well
 
 
 def test_what_is_not_understood_is_not_proven() -> None:
@@ -618,7 +622,7 @@ def test_what_is_not_understood_is_not_proven() -> None:
     certificate = proof.prove(there, [sortie(there, gaps=(gap, Gap(9, "also this")))])
     finding = found(certificate, "understood")
     assert not finding.holds
-    assert str(finding).startswith("alpha: item 7: item 7: DO_JUMP: repeats items, its path is not followed; item 9:")
+    assert str(finding).startswith("alpha: item 7: DO_JUMP: repeats items, its path is not followed; item 9: also")
     assert not certificate.proven
     pair = scene(ALPHA, beside(60))
     other = proof.planned_sortie(pair, by_hand(pair, STRAIGHT, shifted(60)).vehicles[1])
