@@ -36,6 +36,7 @@ _ROUNDS = 24
 _AVOID_S = 20.0
 """How long before and after a conflict the other's flight is kept clear of."""
 _DELAY_S = 15.0
+_STARTS = 3
 _PROOFS = 4
 _MENDS = 8
 _ROOM_M = 1.0
@@ -72,7 +73,16 @@ def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = N
         together.
     """
     seed = scene.mission.planner.seed if seed is None else seed
-    team = _Team(scene, seed, watch)
+    for start in range(_STARTS - 1):
+        try:
+            return _proven(_Team(scene, seed, start, watch))
+        except UnreturnableError:  # who gives way to whom decides who can return: once more, the other way round
+            continue
+    return _proven(_Team(scene, seed, _STARTS - 1, watch))
+
+
+def _proven(team: _Team) -> FleetPlan:
+    """Return the team's plan with its certificate."""
     problems: tuple[Finding, ...] = ()
     for _ in range(_PROOFS):
         plan = proof.checked(*team.apart())
@@ -88,11 +98,12 @@ def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = N
 class _Team:
     """The vehicles' paths while a plan is looked for, and what each has learned to keep clear of."""
 
-    def __init__(self, scene: Scene, seed: int, watch: Watch | None) -> None:
+    def __init__(self, scene: Scene, seed: int, start: int, watch: Watch | None) -> None:
         self._scene = scene
         self._seed = seed
+        self._start = start
         self._watch = watch
-        self._generators = np.random.default_rng(seed).spawn(len(scene.tasks))
+        self._generators = np.random.default_rng(seed if start == 0 else [seed, start]).spawn(len(scene.tasks))
         self._wider_m = [0.0] * len(scene.tasks)
         self._mends = _MENDS
         self._overhead = _overhead(scene)
@@ -152,7 +163,8 @@ class _Team:
 
         ``tall``: neither above nor below it either.
         """
-        for index in (conflict.second, conflict.first) if round_ % 2 == 0 else (conflict.first, conflict.second):
+        later_first = (round_ + self._start) % 2 == 0
+        for index in (conflict.second, conflict.first) if later_first else (conflict.first, conflict.second):
             other = plan.vehicles[conflict.first if index == conflict.second else conflict.second]
             flight = _flight_around(other, conflict, self._scene.tasks[index], tall=tall)
             try:
@@ -174,6 +186,7 @@ class _Team:
             return error.short_m > 0.0 and self._roomier(who[0], error.short_m)
         first, second = sorted(who)
         required_m = proof.required_apart_m(self._scene, self._scene.tasks[first], self._scene.tasks[second])
+        required_m += max(_braking_m(self._scene.tasks[k]) for k in who)  # they brake, perhaps towards each other
         over = Conflict(first, second, (names[first], names[second]), 0.0, required_m, error.t_s)
         return self._part(over, plan, round_, tall=True)  # who climbs home must not be below another's way
 
@@ -188,7 +201,8 @@ class _Team:
         names = [task.name for task in self._scene.tasks]
         helped = [f for f in problems if f.check in ("terrain", "obstacle", "fence", "ceiling", "turn", "angle")]
         for index in {names.index(f.vehicle) for f in helped}:
-            short_m = [f.required - f.value for f in helped if f.vehicle == names[index] and f.value and f.required]
+            own = [f for f in helped if f.vehicle == names[index] and f.check != "turn"]
+            short_m = [f.required - f.value for f in own if f.value is not None and f.required is not None]
             if not self._roomier(index, max([0.0, *(m for m in short_m if m < np.inf)])):
                 return False
         return len(helped) == len(problems)
@@ -238,7 +252,10 @@ def with_return_heights(scene: Scene, plan: FleetPlan) -> Scene:
 def returning_at(scene: Scene, height_m: Mapping[str, float]) -> Scene:
     """Return the scene with vehicles, by name, that return at these heights above home."""
     tasks = [
-        replace(task, motion=replace(task.motion, return_height_m=height_m.get(task.name, task.motion.return_height_m)))
+        replace(
+            task,
+            motion=replace(task.motion, return_height_m=float(height_m.get(task.name, task.motion.return_height_m))),
+        )
         for task in scene.tasks
     ]
     return replace(scene, tasks=tuple(tasks))
@@ -376,6 +393,8 @@ def _path(
     unvisited = _unvisited(scene)
     # what the proof asks for, and a little more: the price knows the fellows' timing only roughly
     separation_m = max(proof.required_apart_m(scene, task, other) for other in scene.tasks) + _FELLOW_SLACK_M
+    if scene.mission.fleet.direct_return == "required":
+        separation_m += _braking_m(task)
 
     def price_of(extra_m: float) -> Price:
         return Price(
@@ -433,6 +452,11 @@ def _unvisited(scene: Scene) -> Towers | None:
         return None
     names = tuple(towers.names[k] for k in left)
     return replace(towers, names=names, top_m=towers.top_m[left], weight=towers.weight[left])
+
+
+def _braking_m(task: VehicleTask) -> float:
+    """Return how far a vehicle that is told to return flies on at most while it brakes, roughly."""
+    return 0.5 * task.limits.speed_max_m_s**2 / task.motion.acceleration_m_s2
 
 
 def _overhead(scene: Scene) -> list[Solid]:
