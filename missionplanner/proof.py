@@ -40,7 +40,7 @@ CHORD_ERROR_M = 0.02
 """Chords of 0.2 s of a predicted flight are at most so far off it at 4 m/s^2."""
 _ANGLE_SLACK_RAD = 1e-5
 _SPEED_SLACK_M_S = 1e-3  # single precision on the wire
-_CIRCLED_M = 25.0  # beyond its circle, where a plane that returns may turn onto it
+_LEVEL_M = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +55,14 @@ class Flight:
 
     @property
     def descends_s(self) -> float:
-        """When it leaves its mission's altitude for good."""
-        return float(self.reached_s[-1])
+        """When it begins to sink to its landing place; its flight's end where it stays in the air."""
+        if self.sortie.ending == "land":
+            return float(self.reached_s[-1])
+        if self.sortie.ending == "loiter" or self.sortie.vehicle_class == "plane":
+            return float(self.trajectory.t_s[-1])
+        home = self.trajectory.t_s >= self.reached_s[-1]
+        alt_m = np.where(home, self.trajectory.position_m[:, 2], -np.inf)
+        return float(self.trajectory.t_s[np.flatnonzero(alt_m >= alt_m.max() - _LEVEL_M)[-1]])
 
 
 def prove(
@@ -676,8 +682,8 @@ def _together(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
         position_m=nearest.position_m,
         t_s=nearest.t_s,
     )
-    slack = timing.least_slack(trajectories, required, LATENESS_LIMIT_S)[0]
     need_s = scene.mission.fleet.lateness_s
+    slack = timing.least_slack(trajectories, required, max(need_s, LATENESS_LIMIT_S))[0]
     late = Finding(
         "lateness",
         f"{names[slack.first]} - {names[slack.second]}",
@@ -804,15 +810,26 @@ def _heights_told(flights: Sequence[Flight]) -> str:
 
 
 def worst_conflict(scene: Scene, plan: FleetPlan) -> Conflict | None:
-    """Return the pair that undercuts its separation the most, if any does (PAPER.md eq. 9)."""
-    found = []
+    """Return the pair that undercuts its separation the most (eq. 9), or would if one were as late as allowed."""
     trajectories = [vehicle.trajectory for vehicle in plan.vehicles]
-    for pair in timing.least_separation(trajectories):
-        one, other = scene.tasks[pair.first], scene.tasks[pair.second]
-        required_m = required_apart_m(scene, one, other)
-        if pair.distance_m < required_m:
-            names = (plan.vehicles[pair.first].name, plan.vehicles[pair.second].name)
-            found.append(Conflict(pair.first, pair.second, names, pair.distance_m, required_m, pair.t_s))
+
+    def required_m(i: int, j: int) -> float:
+        return required_apart_m(scene, scene.tasks[i], scene.tasks[j])
+
+    def conflict(pair: timing.Separation, late_s: float = 0.0) -> Conflict:
+        names = (plan.vehicles[pair.first].name, plan.vehicles[pair.second].name)
+        need_m = required_m(pair.first, pair.second)
+        return Conflict(pair.first, pair.second, names, pair.distance_m, need_m, pair.t_s, late_s)
+
+    pairs = timing.least_separation(trajectories)
+    found = [conflict(pair) for pair in pairs if pair.distance_m < required_m(pair.first, pair.second)]
+    late_s = scene.mission.fleet.lateness_s
+    if not found and late_s > 0.0:
+        slack_s = {
+            (slack.first, slack.second): slack.slack_s
+            for slack in timing.least_slack(trajectories, required_m, max(late_s, LATENESS_LIMIT_S))
+        }
+        found = [conflict(pair, late_s) for pair in pairs if slack_s[pair.first, pair.second] < late_s]
     return min(found, key=lambda c: c.distance_m - c.required_m, default=None)
 
 
@@ -826,8 +843,14 @@ class Conflict:
     distance_m: float
     required_m: float
     t_s: float
+    late_s: float = 0.0  # only if one of them is this much early or late
 
     def __str__(self) -> str:
+        if self.late_s > 0.0:
+            return (
+                f"{self.names[0]} and {self.names[1]} come closer than {self.required_m:g} m, of separation and errors, "
+                f"if one of them is {self.late_s:g} s early or late (fleet.lateness_s)"
+            )
         return (
             f"{self.names[0]} and {self.names[1]} come within {self.distance_m:.1f} m of each other at "
             f"{self.t_s:.0f} s, closer than the {self.required_m:g} m of separation and errors"
