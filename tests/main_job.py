@@ -5,10 +5,11 @@ from __future__ import annotations
 from contextlib import closing
 from pathlib import Path
 
+from adapters.certificates import certify_plan
 from adapters.endpoint import open_endpoint
 from adapters.export import export_fleet
 from adapters.fleet_link import FleetLink
-from missionplanner import build_scene, load_mission, plan_fleet, save_plan
+from missionplanner import build_scene, load_mission, plan_fleet, save_certificate, save_plan
 from missionplanner.plan import FleetFlight, FleetPlan
 from missionplanner.scene import Scene
 from sim.fleet import LockstepClock, SimFleet, connect_fleet, planned_vehicles
@@ -27,10 +28,11 @@ def load_scene(path: Path) -> Scene:
     return build_scene(load_mission(path), path.parent)
 
 
-def plan_into(folder: Path, scene: Scene, seed: int) -> FleetPlan:
-    """Plan a mission; write ``plan.json`` and, in ``files``, what is exported."""
+def plan_into(folder: Path, scene: Scene, seed: int | None = None) -> FleetPlan:
+    """Plan a mission; write ``plan.json``, its certificate and, in ``files``, what is exported."""
     plan = plan_fleet(scene, seed=seed)
     save_plan(folder, scene, plan)
+    save_certificate(folder, certify_plan(scene, plan))
     export_fleet(plan, folder / "files")
     return plan
 

@@ -18,11 +18,10 @@ from rasterio.transform import Affine
 
 from adapters import fleet_link
 from adapters.endpoint import open_endpoint
-from adapters.export import export_fleet
 from missionplanner.cli import main
 from missionplanner.geodesy import FloatArray
-from missionplanner.plan_folder import PLAN_NAME, save_plan
-from missionplanner.planner import plan_fleet
+from missionplanner.plan_folder import CERTIFICATE_NAME, PLAN_NAME
+from tests.main_job import plan_into
 from tests.rasters import hill, hill_in, write_tif
 from tests.scenes import at, copter, hilly, mission_file, question, scene_of
 
@@ -74,10 +73,7 @@ def planned_over_hill(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _planned(folder: Path, data: dict[str, Any]) -> Path:
-    scene = scene_of(data, folder)
-    plan = plan_fleet(scene)
-    save_plan(folder / "plan", scene, plan)
-    export_fleet(plan, folder / "plan" / "files")
+    plan_into(folder / "plan", scene_of(data, folder))
     return folder / "plan"
 
 
@@ -146,7 +142,7 @@ WRONG_MISSIONS = {
     ),
     "start under the ground": (
         question(copter("alpha", (0, 0), (300, 0), start=at(0, 0, amsl=90))),
-        ["vehicles[0].start (alpha)", "10.0 m below it", "raise it by 32.0 m"],
+        ["vehicles[0].start (alpha)", "10.0 m below it", "raise it by 35.0 m"],
     ),
     "two with one start": (
         question(
@@ -372,7 +368,7 @@ def _set(path: str, value: Any) -> Callable[[dict[str, Any]], None]:
 
 
 CORRUPT_PLANS: dict[str, tuple[Callable[[dict[str, Any]], object], list[str]]] = {
-    "another version": (_set("version", 2), ["version"]),
+    "another version": (_set("version", 1), ["version"]),
     "another format": (_set("format", "qgc-plan"), ["format"]),
     "no vehicles": (_set("vehicles", []), ["expected plans for alpha, bravo"]),
     "vehicles swapped": (lambda d: d["vehicles"].reverse(), ["expected plans for alpha, bravo"]),
@@ -410,7 +406,14 @@ def test_a_waypoint_edited_into_a_hill(cli: Cli, planned_over_hill: Path, tmp_pa
 
     assert hill(-200.0, 25.0) > 725
     copy = edited(planned_over_hill, tmp_path, through_the_hill)
-    expect_refusal(cli(command, copy, "--json"), 3, str(copy), "not safe to fly", "alpha", "terrain", "expected 22 m")
+    refused = cli(command, copy, "--json")
+    expect_refusal(refused, 3, str(copy), "of other missions than those that would be sent", "check the plan again")
+    (copy / CERTIFICATE_NAME).unlink()
+    outcome = cli("check", copy)
+    assert outcome.code == 3
+    assert "alpha: item 4: terrain clearance is" in outcome.err
+    assert "expected 20 m: raise waypoint 4 or the one before it by" in outcome.err
+    expect_refusal(cli(command, copy, "--json"), 3, str(copy), "not proven", "alpha", "terrain", "expected 20 m")
     assert not (copy / "flight.json").exists()
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from missionplanner import proof
+from missionplanner.flight_check import check_flight
 from missionplanner.planner import plan_fleet
 from tests.main_job import fly
 from tests.scenes import at, copter, question, scene_of
@@ -33,7 +33,7 @@ def test_copters(end: str, rules: dict[str, Any]) -> None:
     scene = scene_of(question(*_COPTERS, obstacles=[_MAST], fleet=rules, defaults={"end": end}))
     plan = plan_fleet(scene)
     flight = fly(scene, plan)
-    assert proof.check_flight(scene, plan, flight).ok
+    assert check_flight(scene, plan, flight).ok
     for index, (planned, flown) in enumerate(zip(plan.vehicles, flight.vehicles, strict=True)):
         assert planned.start_delay_s >= index * rules.get("launch_interval_s", 0.0)
         assert flown.arrival_s == pytest.approx(planned.arrival_s, abs=0.15)
@@ -63,4 +63,4 @@ def test_all_four_kinds_arrive_together(copters_end: str, planes_end: str) -> No
     assert flight.arrival_spread_s is not None
     assert flight.arrival_spread_s < 0.2
     assert [v.arrival_s for v in flight.vehicles] == pytest.approx([plan.arrival_s] * 4, abs=0.15)
-    assert proof.check_flight(scene, plan, flight).ok
+    assert check_flight(scene, plan, flight).ok

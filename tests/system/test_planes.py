@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from missionplanner import proof
 from missionplanner.errors import MissionError
+from missionplanner.flight_check import check_flight
 from missionplanner.planner import plan_fleet
 from tests.main_job import fly
 from tests.scenes import ORIGIN, at, scene_of
@@ -54,7 +54,7 @@ def test_two_planes_pass_a_mast_and_a_radar_and_arrive_together(seed: int) -> No
     flight = fly(scene, plan)
     assert flight.arrival_spread_s is not None
     assert flight.arrival_spread_s < 0.2
-    assert proof.check_flight(scene, plan, flight).ok
+    assert check_flight(scene, plan, flight).ok
     for planned, flown in zip(plan.vehicles, flight.vehicles, strict=True):
         assert flown.arrival_s == pytest.approx(planned.arrival_s, abs=0.1)
         off_m = np.linalg.norm(flown.trajectory.position_m - planned.trajectory.at(flown.trajectory.t_s), axis=1)
@@ -70,7 +70,7 @@ def test_planes_that_return_end_above_their_homes() -> None:
     flight = fly(scene, plan)
     assert flight.arrival_spread_s is not None
     assert flight.arrival_spread_s < 0.2
-    assert proof.check_flight(scene, plan, flight).ok
+    assert check_flight(scene, plan, flight).ok
     for planned, flown in zip(plan.vehicles, flight.vehicles, strict=True):
         assert flown.landed_s is None
         away_m = np.hypot(*(flown.trajectory.position_m[-1] - planned.home_m)[:2])
