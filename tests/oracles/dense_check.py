@@ -2,7 +2,8 @@
 
 Nothing of the planner is used: the mission file is read as plain YAML, the ``.waypoints`` and ``.plan`` files as text,
 the ground is Keys' convolution in the raster's own coordinates (or the sum of the peaks), and distances are school
-geometry. ``python -m tests.oracles.dense_check MISSION FOLDER`` prints what it finds of a plan folder.
+geometry. Legs are judged with balls rolled along them, as wide as a copter may be off: to the sides of slopes too.
+``python -m tests.oracles.dense_check MISSION FOLDER`` prints what it finds of a plan folder.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ STEP_M = 0.1
 ROUNDING_M = 0.05
 """Room for what is not the planner's: 1e-7 degree is 1.1 cm, on slopes also in height; peaks are not gridded here."""
 _COARSE = 50  # samples
+_BESIDE = 5  # samples between the balls whose surfaces are held against the ground
+_RINGS, _SPOKES = 4, 16
 
 _TAKEOFF, _WAYPOINT = 22, 16
 _GLOBAL, _RELATIVE = 0, 3  # frames
@@ -203,27 +206,42 @@ class World:
     # --- the checks
 
     def clearances(self, vehicle: int, path_m: Array, *, flown: bool) -> list[Least]:
-        """Return the least distances of a polyline (N, 3), which may have used up the tracking error where flown."""
+        """Return what a polyline (N, 3) keeps, as wide as its vehicle may be off it; where flown, just itself."""
         settings = self.vehicles[vehicle]
         safety = settings.get("safety", {})
-        error_m = 0.0 if flown else settings.get("tracking_error_m", 2.0)
+        radius_m = 0.0 if flown else _off_m(settings)
         points = densely(path_m)
-        height = points[:, 2] - self.ground_m(points[:, :2])
-        low = int(np.argmin(height))  # a NaN counts as least
-        above_m = safety.get("terrain_m", 20.0) + self.vertical_error_m + error_m
-        apart_m = safety.get("obstacle_m", 10.0) + error_m
-        found = [Least("terrain", float(height[low]), above_m, tuple(points[low]))]
+        low, height_m, high_m = self._heights(points, radius_m)
+        above_m = safety.get("terrain_m", 20.0) + self.vertical_error_m
+        apart_m = safety.get("obstacle_m", 10.0)
+        found = [Least("terrain", height_m, above_m, tuple(points[low]))]
         walls = [("fence", self.fence)] if self.fence is not None else []
         for name, distance in [*self.obstacles, *walls]:
             k, d = _least(distance, points)
-            found.append(Least(name, d, apart_m, tuple(points[k])))
+            found.append(Least(name, d - radius_m, apart_m, tuple(points[k])))
         for limit, value in (
-            ("height_agl_max_m", float(height.max())),
-            ("alt_amsl_max_m", float(points[:, 2].max())),
+            ("height_agl_max_m", high_m),
+            ("alt_amsl_max_m", float(points[:, 2].max()) + radius_m),
         ):
             if limit in settings:
-                found.append(Least(limit, settings[limit] - value, error_m, ()))
+                found.append(Least(limit, settings[limit] - value, 0.0, ()))
         return found
+
+    def _heights(self, points: Array, radius_m: float) -> tuple[int, float, float]:
+        """Return where balls rolled through points come lowest above the ground below them, how low, and how high."""
+        height = points[:, 2] - self.ground_m(points[:, :2])
+        low, least_m, most_m = int(np.argmin(height)), float(height.min()) - radius_m, float(height.max()) + radius_m
+        chosen = np.unique([*range(0, len(points), _BESIDE), len(points) - 1])
+        for away_m in radius_m * np.arange(1, _RINGS + 1) / _RINGS if radius_m > 0.0 else ():
+            up_m = math.sqrt(max(radius_m**2 - away_m**2, 0.0))
+            for angle in 2.0 * math.pi * np.arange(_SPOKES) / _SPOKES:
+                beside = points[chosen, :2] + away_m * np.array([math.cos(angle), math.sin(angle)])
+                height = points[chosen, 2] - self.ground_m(beside)
+                k = int(np.argmin(height))  # a NaN counts as least, and stays it
+                if not math.isnan(least_m) and not float(height[k]) - up_m >= least_m:
+                    low, least_m = int(chosen[k]), float(height[k]) - up_m
+                most_m = max(most_m, float(height.max()) + up_m)
+        return low, least_m, most_m
 
     def inspected(self, paths_m: Sequence[Array]) -> Inspected | None:
         """Return what polylines (N, 3) pass of the towers' tops."""
@@ -312,6 +330,15 @@ def _polyline(world: World, items: Sequence[tuple[Any, ...]], home_alt_amsl_m: f
 
 
 # --- geometry
+
+
+def _off_m(settings: dict[str, Any]) -> float:
+    """Return how far a copter may be off its legs: tracking, position, and what its autopilot makes of corners."""
+    assert settings.get("class", "copter") == "copter", "a plane is not judged by its legs"
+    corner_m = settings.get("motion", {}).get("waypoint_radius_m", 2.0)
+    if settings.get("autopilot", "ardupilot") == "px4":
+        corner_m *= 1.25
+    return float(settings.get("tracking_error_m", 2.0) + settings.get("position_error_m", 1.0) + corner_m)
 
 
 def densely(path_m: Array) -> Array:
