@@ -81,6 +81,7 @@ _TOLERANCE_M = 0.1
 _SLICE_M = 2.0
 _ROUNDING_M = 1e-9
 _SAMPLE_M = 30.0
+_AMPLE_M = 10.0  # beyond a margin: how much more there is nobody asks
 _NARROW_M = 0.25
 _STACK = 128
 _TRIES = 400
@@ -517,21 +518,25 @@ def _highest(space: SpaceArrays, v: _Flyer, margin: float) -> tuple[float, int]:
 
 
 @kernel
-def _least_terrain(space: SpaceArrays, bounds: Pyramid, v: _Flyer, margin: float, at: FloatArray) -> tuple[float, int]:
+def _least_terrain(
+    space: SpaceArrays, bounds: Pyramid, v: _Flyer, margin: float, enough: float, at: FloatArray
+) -> tuple[float, int]:
     """Lower bound of the height above ground of all returns, where, and on the return from which node.
+
+    At most ``enough``, of node -1 then.
 
     It may be given up to :data:`_TOLERANCE_M` too low, but not so that it undercuts ``margin`` for it.
     """
     stack = np.empty(_STACK, dtype=np.int64)
     place = np.empty(3)
-    best = np.inf
     best_node = -1
-    proven = np.inf
+    proven = enough
     _, first = _highest(space, v, margin)
     if first >= 0:
-        best = _terrain_of(space, bounds, v, v.nodes[first], best, -np.inf, at)
-        best_node = first
-        proven = max(best - _TOLERANCE_M, min(best, margin))
+        best = _terrain_of(space, bounds, v, v.nodes[first], enough, -np.inf, at)
+        if best < enough:
+            best_node = first
+            proven = max(best - _TOLERANCE_M, min(best, margin))
     for root in range(v.nodes.shape[0] // _NODES):
         stack[0] = 1
         depth = 1
@@ -545,8 +550,8 @@ def _least_terrain(space: SpaceArrays, bounds: Pyramid, v: _Flyer, margin: float
             if found >= proven:
                 continue
             if leaf:
-                best, best_node = found, n
-                proven = max(best - _TOLERANCE_M, min(best, margin))
+                best_node = n
+                proven = max(found - _TOLERANCE_M, min(found, margin))
                 at[:] = place
             else:
                 stack[depth] = 2 * h + 1
@@ -1068,22 +1073,25 @@ def _alone(space: SpaceArrays, bounds: Pyramid, names: Sequence[str], track: _Tr
     """Return what one vehicle's returns keep from what stands still: what fails, else what has the least to spare."""
     limits = track.vehicle.limits
     at = np.full(3, np.nan)
-    height_m, node = _least_terrain(space, bounds, track.at(alt_amsl_m), limits.terrain_margin_m, at)
     margin_m = limits.terrain_margin_m
+    height_m, node = _least_terrain(space, bounds, track.at(alt_amsl_m), margin_m, margin_m + _AMPLE_M, at)
     found = [
         track.finding(
             node,
-            f"{height_m:.1f} m above the ground" if math.isfinite(height_m) else "no known height above the ground",
+            f"at least {height_m:.1f} m above the ground"
+            if math.isfinite(height_m)
+            else "no known height above the ground",
             height_m,
             margin_m,
             "raise return_height_m or the legs flown then",
         )
     ]
     found[0] = replace(found[0], to="terrain", position_m=_position(at) if node >= 0 else None)
-    distance_m, node, solid, part = _least_solids(space, track.at(alt_amsl_m), limits.obstacle_margin_m, math.inf)
+    margin_m = limits.obstacle_margin_m
+    distance_m, node, solid, part = _least_solids(space, track.at(alt_amsl_m), margin_m, margin_m + _AMPLE_M)
     if solid >= 0:
         what = _named(space, names, solid)
-        keeps = f"{distance_m:.1f} m {'from' if solid < len(names) else 'inside the'} {what} {_PARTS[part]}"
+        keeps = f"at least {distance_m:.1f} m {'from' if solid < len(names) else 'inside the'} {what} {_PARTS[part]}"
         place = track.place(node, alt_amsl_m) if node >= 0 else _position(track.home_m)
         finding = track.finding(node, keeps, distance_m, limits.obstacle_margin_m, _REMEDY)
         found.append(replace(finding, to=what, position_m=place))
@@ -1213,6 +1221,10 @@ class _Choice:
                 raise self._blocked(k, node, what, need_m - found if part == _CLIMB else 0.0)
             # nobody gains more distance than height: nothing that is clear is skipped
             alt = track.rounded_up_m(alt + max(1.0, need_m - found - 3.0 * _TOLERANCE_M))
+        at = np.empty(3)
+        need_m = limits.terrain_margin_m
+        if _least_terrain(self._space, self._bounds, track.at(alt), need_m, need_m, at)[0] >= need_m:
+            return alt
         for higher in (alt, alt + 1.0):  # where bounds are no closer than their tolerance, one more metre helps
             finding = _alone(self._space, self._bounds, self._names, track, higher)
             if finding.proven:
@@ -1238,6 +1250,11 @@ class _Choice:
         """Return altitudes, none below those given, at which all return apart."""
         pairs = list(itertools.combinations(range(len(alts)), 2))
         best: tuple[float, ...] | None = None
+        for pair in pairs:  # who cannot be parted at all is told before any circle of several
+            if self._meet(*pair, alts) and not self._parted(*pair, alts, {}):
+                assert self._failure is not None
+                raise self._failure
+        self._failure = None
         open_states: list[tuple[tuple[float, ...], _Orders]] = [(alts, {})]
         tries = _TRIES + 4 * len(pairs)
         while open_states and tries > 0:
