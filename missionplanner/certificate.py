@@ -13,6 +13,8 @@ from typing import Any, Literal
 
 Position = tuple[float, float, float]
 
+_TOLD = 3  # problems that a refusal names
+
 Check = Literal[
     "understood",  # every item's path is known
     "files",  # mission files hold what the plan holds
@@ -100,6 +102,12 @@ class Certificate:
     def problems(self) -> tuple[Finding, ...]:
         """What is not proven."""
         return tuple(finding for finding in self.findings if not finding.holds)
+
+    @property
+    def refusal(self) -> str:
+        """What is not proven in one line: the first few problems, and how many more there are."""
+        told, left = [str(finding) for finding in self.problems[:_TOLD]], len(self.problems) - _TOLD
+        return "; ".join([*told, f"and {left} more" if left > 0 else ""]).removesuffix("; ")
 
     def as_json(self) -> dict[str, Any]:
         """Return plain JSON values."""

@@ -153,15 +153,20 @@ def check(
         for name, path in paths.items():
             _stdout.print(f"{name}: {path}", soft_wrap=True, highlight=False)
     if not certificate.proven:
-        raise InfeasibleError(f"not proven: {'; '.join(map(str, certificate.problems))}")
+        raise _verdict(f"not proven: {certificate.refusal}")
 
 
 @app.command()
 def export(folder: PlanFolder, output: Output = None, as_json: AsJson = False) -> None:
     """Write .plan, .waypoints, KML and GeoJSON of a plan that is proven (default: FOLDER/files)."""
+    from adapters.certificates import certify_plan
     from adapters.export import export_fleet
+    from missionplanner.plan_folder import load_plan
 
-    _, fleet_plan = _load_proven(folder, unproven=False)
+    scene, fleet_plan = load_plan(folder)
+    certificate = certify_plan(scene, fleet_plan)
+    if not certificate.proven:
+        raise InfeasibleError(f"{folder}: not proven: {certificate.refusal}; nothing was written")
     paths = export_fleet(fleet_plan, output or folder / FILES)
     if as_json:
         _print_json({"files": [str(path) for path in paths]})
@@ -275,9 +280,15 @@ def fly(
     _show(fleet_plan, folder, as_json, flight, check, report_path)
     missing = [vehicle.name for vehicle in flight.vehicles if vehicle.arrival_s is None]
     if missing:
-        raise InfeasibleError(f"{folder}: {', '.join(missing)} never reached the goal: see {report_path}")
+        raise _verdict(f"{folder}: {', '.join(missing)} never reached the goal: see {report_path}")
     if not check.ok:
-        raise InfeasibleError(f"{folder}: the flight did not keep every clearance: see {report_path}")
+        raise _verdict(f"{folder}: the flight did not keep every clearance: see {report_path}")
+
+
+def _verdict(told: str) -> typer.Exit:
+    """Return the exit that follows a bad verdict, told here; stdout has it already, as one document where asked for."""
+    print(f"missionplanner: {told}", file=sys.stderr)
+    return typer.Exit(InfeasibleError.exit_code)
 
 
 def _proven_plan(
@@ -343,9 +354,7 @@ def _transfer(link: FleetLink, scene: Scene, fleet_plan: FleetPlan, *, unproven:
         link.verify(_transfer_bars(progress, "verifying"))
         certificate = certify(scene, held_by_vehicles(fleet_plan, link.held), arrival_s=fleet_plan.arrival_s)
         if not certificate.proven and not unproven:
-            raise InfeasibleError(
-                f"what the vehicles hold is not proven: {'; '.join(map(str, certificate.problems))}; nothing was armed"
-            )
+            raise InfeasibleError(f"what the vehicles hold is not proven: {certificate.refusal}; nothing was armed")
         changes = link.set_returns(_transfer_bars(progress, "setting return of"))
     for change in changes:
         told = f"{change.vehicle}: set {change.name} from {change.before:g} to {change.after:g}; it keeps that"
@@ -526,7 +535,7 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
     certificate = certify_plan(scene, fleet_plan)
     save_certificate(folder, certificate)
     if not certificate.proven:  # the planner proved the same, rounded as on the wire: a bug, and never flown
-        raise InfeasibleError(f"{folder}: not proven as exported: {'; '.join(map(str, certificate.problems))}")
+        raise InfeasibleError(f"{folder}: not proven as exported: {certificate.refusal}")
     written = set(export_fleet(fleet_plan, folder / FILES))
     for path in (folder / FILES).iterdir():
         if again and path.suffix in {".plan", ".waypoints"} and path not in written:
@@ -537,13 +546,13 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
 def _load_proven(folder: Path, *, unproven: bool) -> tuple[Scene, FleetPlan]:
     """Load a plan folder, prove its missions again, and refuse them unless its certificate covers just these.
 
-    With ``unproven`` they are let through, in red.
+    Nor may its files for ground stations say anything else. With ``unproven`` all is let through, in red.
     """
-    from adapters.certificates import certify_plan
+    from adapters.certificates import certify_folder
     from missionplanner.plan_folder import load_plan, uncertified
 
     scene, fleet_plan = load_plan(folder)
-    certificate = certify_plan(scene, fleet_plan)
+    certificate = certify_folder(scene, fleet_plan, folder / FILES)
     problem = uncertified(folder, certificate)
     if problem is not None and unproven:
         _stderr.print(f"UNPROVEN: {problem}", style="bold red", soft_wrap=True, highlight=False)

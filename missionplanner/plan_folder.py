@@ -256,7 +256,7 @@ def uncertified(folder: Path, fresh: Certificate) -> str | None:
     if stored.mission_sha256 != dict(fresh.mission_sha256):
         return f"{path} is of other missions than those that would be sent: check the plan again"
     if not (stored.proven and fresh.proven):
-        return f"not proven: {'; '.join(str(f) for f in fresh.problems) or f'{path} says so: check the plan again'}"
+        return f"not proven: {fresh.refusal or f'{path} says so: check the plan again'}"
     return None
 
 
