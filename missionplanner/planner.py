@@ -393,8 +393,6 @@ def _path(
     unvisited = _unvisited(scene)
     # what the proof asks for, and a little more: the price knows the fellows' timing only roughly
     separation_m = max(proof.required_apart_m(scene, task, other) for other in scene.tasks) + _FELLOW_SLACK_M
-    if scene.mission.fleet.direct_return == "required":
-        separation_m += _braking_m(task)
 
     def price_of(extra_m: float) -> Price:
         return Price(
@@ -484,7 +482,8 @@ def _room_below_m(scene: Scene, solid: Solid) -> float:
 
 def _flight_around(other: VehiclePlan, conflict: Conflict, task: VehicleTask, *, tall: bool) -> Sequence[Solid]:
     """Return the other's predicted flight around the conflict as solids that ``task`` keeps clear of."""
-    times = np.linspace(conflict.t_s - _AVOID_S, conflict.t_s + _AVOID_S, 17)
+    around_s = _AVOID_S + conflict.late_s
+    times = np.linspace(conflict.t_s - around_s, conflict.t_s + around_s, 17)
     points = other.trajectory.at(times)
     route_m = task.route_m * [1.0, 1.0, 0.0] if tall else task.route_m
     if tall:

@@ -26,7 +26,7 @@ TOLERANCE_M = 0.1
 _BLOCK = 8  # cells per side of the pyramid's smallest blocks
 _OVERSHOOT = 0.28125
 """A bicubic convolution exceeds the greatest of its samples by at most this share of their range (2 * 9/8 * 1/8)."""
-_PATCHES = 2  # cells per side up to which patches themselves are looked at, not blocks
+_PATCHES = 2  # cells per side, beyond the radius, up to which patches themselves are looked at, not blocks
 _FINEST_M = 2.0  # pieces of this size are not divided further
 _STACK = 256
 _ROUNDING_M = 1e-6
@@ -218,6 +218,57 @@ def _low_point(
 
 
 @kernel
+def _fine_bound(
+    t: TerrainArrays,
+    piece: FloatArray,
+    cells: FloatArray,
+    window: FloatArray,
+    jacobian: FloatArray,
+    radius: float,
+    sign: float,
+    lowest: float,
+    net: FloatArray,
+    bounds: FloatArray,
+) -> float:
+    """Return a lower bound of the height over a small triangle's tube from the patches it lies over.
+
+    ``cells`` (3, 2) are its corners in rows and columns, ``window`` their rectangle, how far the radius reaches beyond
+    it, and how far the triangle may bulge; ``net`` and ``bounds`` are scratch.
+    """
+    h = t.height_amsl_m
+    r0, r1, c0, c1 = window[0], window[1], window[2], window[3]
+    _patch_bounds(h, r0 - window[4], r1 + window[4], c0 - window[5], c1 + window[5], net, bounds)
+    if not math.isfinite(bounds[1]):
+        return -np.inf
+    bound: float = lowest - radius - (bounds[1] if sign > 0.0 else -bounds[0])
+    gr = max(-bounds[2], bounds[3])
+    gc = max(-bounds[4], bounds[5])
+    gx = abs(jacobian[0, 0]) * gr + abs(jacobian[1, 0]) * gc
+    gy = abs(jacobian[0, 1]) * gr + abs(jacobian[1, 1]) * gc
+    # whoever strays by the radius, partly uphill and partly down, loses no more height than this
+    lost = radius * math.sqrt(1.0 + (_TURN * gx) ** 2 + (_TURN * gy) ** 2)
+    _patch_bounds(h, r0, r1, c0, c1, net, bounds)
+    bound = max(bound, lowest - (bounds[1] if sign > 0.0 else -bounds[0]) - lost)
+    # the height in the middle, and how fast it may fall from there to the corners: nothing between falls faster
+    x = (piece[0, 0] + piece[1, 0] + piece[2, 0]) / 3.0
+    y = (piece[0, 1] + piece[1, 1] + piece[2, 1]) / 3.0
+    z = (piece[0, 2] + piece[1, 2] + piece[2, 2]) / 3.0
+    row, column = cell_position(t, x, y)
+    drop = 0.0
+    for k in range(3):
+        dr = cells[k, 0] - row
+        dc = cells[k, 1] - column
+        change = sign * (piece[k, 2] - z)
+        low_r, high_r = (bounds[2], bounds[3]) if sign > 0.0 else (-bounds[3], -bounds[2])
+        low_c, high_c = (bounds[4], bounds[5]) if sign > 0.0 else (-bounds[5], -bounds[4])
+        change -= max(low_r * dr, high_r * dr) + max(low_c * dc, high_c * dc)
+        drop = min(drop, change)
+    drop -= 2.0 * (window[6] * gr + window[7] * gc)
+    middle = sign * (z - kernels.terrain_height(t, x, y))
+    return max(bound, middle + drop - lost)
+
+
+@kernel
 def least_height(
     t: TerrainArrays,
     p: Pyramid,
@@ -239,6 +290,7 @@ def least_height(
     bounds = np.empty(6)
     jacobian = np.empty((2, 2))
     cells = np.empty((3, 2))
+    window = np.empty(8)
     place = np.empty(3)
     rows, columns = t.height_amsl_m.shape
     stack[0] = corners
@@ -292,31 +344,11 @@ def least_height(
         if inside:
             low, high = _block_bounds(p, r0 - reach_r, r1 + reach_r, c0 - reach_c, c1 + reach_c)
             bound = lowest - radius - (high if sign > 0.0 else -low)
-            if bound < min(enough, found) and wide <= _PATCHES:
-                _patch_bounds(t.height_amsl_m, r0 - reach_r, r1 + reach_r, c0 - reach_c, c1 + reach_c, net, bounds)
-                bound = max(bound, lowest - radius - (bounds[1] if sign > 0.0 else -bounds[0]))
-                gr = max(-bounds[2], bounds[3])
-                gc = max(-bounds[4], bounds[5])
-                gx = abs(jacobian[0, 0]) * gr + abs(jacobian[1, 0]) * gc
-                gy = abs(jacobian[0, 1]) * gr + abs(jacobian[1, 1]) * gc
-                # whoever strays by the radius, partly uphill and partly down, loses no more height than this
-                lost = radius * math.sqrt(1.0 + (_TURN * gx) ** 2 + (_TURN * gy) ** 2)
-                _patch_bounds(t.height_amsl_m, r0, r1, c0, c1, net, bounds)
-                bound = max(bound, lowest - (bounds[1] if sign > 0.0 else -bounds[0]) - lost)
-                middle = kernels.terrain_height(t, x, y)
-                if not math.isnan(middle) and math.isfinite(bounds[1]):
-                    row, column = cell_position(t, x, y)
-                    drop = 0.0
-                    for k in range(3):
-                        dr = cells[k, 0] - row
-                        dc = cells[k, 1] - column
-                        change = sign * (piece[k, 2] - z)
-                        low_r, high_r = (bounds[2], bounds[3]) if sign > 0.0 else (-bounds[3], -bounds[2])
-                        low_c, high_c = (bounds[4], bounds[5]) if sign > 0.0 else (-bounds[5], -bounds[4])
-                        change -= max(low_r * dr, high_r * dr) + max(low_c * dc, high_c * dc)
-                        drop = min(drop, change)
-                    drop -= 2.0 * (bulge_r * gr + bulge_c * gc)
-                    bound = max(bound, sign * (z - middle) + drop - lost)
+            if bound < min(enough, found) and wide <= _PATCHES + 2.0 * max(reach_r, reach_c):
+                window[0], window[1], window[2], window[3] = r0, r1, c0, c1
+                window[4], window[5], window[6], window[7] = reach_r, reach_c, bulge_r, bulge_c
+                fine = _fine_bound(t, piece, cells, window, jacobian, radius, sign, lowest, net, bounds)
+                bound = max(bound, fine)
             bound -= _ROUNDING_M
         if bound >= min(enough, found - TOLERANCE_M):
             proven = min(proven, bound)
@@ -374,6 +406,8 @@ def steepest(t: TerrainArrays, x: float, y: float, radius: float) -> float:
     _patch_bounds(t.height_amsl_m, row - reach_r, row + reach_r, column - reach_c, column + reach_c, net, bounds)
     gr = max(-bounds[2], bounds[3])
     gc = max(-bounds[4], bounds[5])
+    if math.isinf(gr) or math.isinf(gc):
+        return np.inf
     gx = abs(jacobian[0, 0]) * gr + abs(jacobian[1, 0]) * gc
     gy = abs(jacobian[0, 1]) * gr + abs(jacobian[1, 1]) * gc
     return _TURN * math.sqrt(gx * gx + gy * gy)

@@ -52,7 +52,8 @@ def compile_flights_and_checks() -> None:
         assert waypoints_m is not None
         paths.append(PlannedPath(path_m, waypoints_m, 0.0, 0.0, {}, np.zeros(0), 0))
     schedules, arrival_s = planner.schedule(scene, paths, [0.0, 0.0])
-    proof.checked(scene, planner.assemble(scene, paths, schedules, arrival_s, seed=0))
+    plan = planner.assemble(scene, paths, schedules, arrival_s, seed=0)
+    proof.checked(planner.with_return_heights(scene, plan), plan)
 
 
 if __name__ == "__main__":

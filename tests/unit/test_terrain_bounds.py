@@ -111,3 +111,19 @@ def test_the_steepest_ground_nearby() -> None:
     assert steepest(FLAT, 0.0, 0.0, 5.0) == pytest.approx(0.0, abs=1e-9)
     assert steepest(slope(0.4), 3.0, 0.0, 5.0) == pytest.approx(0.4, rel=0.02)
     assert steepest(FLAT, 1e4, 0.0, 5.0) == math.inf
+
+
+@pytest.mark.parametrize("radius_m", [5.0, 13.0])
+def test_a_tube_wider_than_many_cells_is_bounded_as_tightly(radius_m: float) -> None:
+    # the same ridge on 10 m and on 1 m cells: a cosine hill along y, smooth enough for both
+    x10, x1 = (np.arange(201) - 100) * 10.0, np.arange(-200.0, 201.0)
+    ridge10, ridge1 = (40.0 * np.exp(-((x / 60.0) ** 2)) for x in (x10, x1))
+    coarse = grid(np.broadcast_to(ridge10, (201, 201)))
+    to_cell = np.zeros((2, 10))
+    to_cell[:, 0] = 200.0
+    to_cell[0, 2], to_cell[1, 1] = -1e4, 1e4
+    fine = TerrainArrays(np.ascontiguousarray(np.broadcast_to(ridge1, (401, 401)), dtype=np.float32), to_cell)
+    leg = (-100.0, 0.0, 80.0), (100.0, 20.0, 80.0)
+    on_coarse, on_fine = bound(coarse, *leg, radius_m)[0], bound(fine, *leg, radius_m)[0]
+    assert 40.0 - radius_m - 0.6 <= on_coarse <= 40.0 - radius_m + 0.1
+    assert 40.0 - radius_m - 0.6 <= on_fine <= 40.0 - radius_m + 0.1
