@@ -1303,19 +1303,18 @@ class _Choice:
                 ways.append((raised, more))
         if not ways and self._failure is None:
             t_s = one.time_s(int(row[_WHEN]))
+            alone = row[_BELOW] == row[_ABOVE] == 0.0
+            why = (
+                "each climbs or descends where the other flies home" if alone else "neither can return above the other"
+            )
             self._failure = UnreturnableError(
                 f"{_both(one.vehicle, two.vehicle)}: expected return heights that part them, but when told to at "
-                f"{t_s:.0f} s {self._why(row, orders, i, j)}: set return_height_m of neither, "
+                f"{t_s:.0f} s {why}: set return_height_m of neither, "
                 "move a home or the legs flown then, or set fleet.direct_return: waived",
                 (one.vehicle.name, two.vehicle.name),
                 t_s,
             )
         return ways
-
-    def _why(self, row: FloatArray, orders: _Orders, i: int, j: int) -> str:
-        if row[_BELOW] == 0.0 and row[_ABOVE] == 0.0:
-            return "each climbs or descends where the other flies home"
-        return "neither can return above the other"
 
     def _raised(self, alts: tuple[float, ...], orders: _Orders) -> tuple[float, ...] | None:
         """Return the least altitudes, none below those given, that keep all orders; None if there are none."""
