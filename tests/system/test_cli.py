@@ -6,9 +6,8 @@ import json
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,45 +17,14 @@ from rasterio.transform import Affine
 
 from adapters import fleet_link
 from adapters.endpoint import open_endpoint
-from missionplanner.cli import main
 from missionplanner.geodesy import FloatArray
 from missionplanner.plan_folder import PLAN_NAME
+from tests.command_line import Cli, expect_refusal
 from tests.main_job import plan_into
 from tests.rasters import hill, hill_in, write_tif
 from tests.scenes import at, copter, hilly, mission_file, question, scene_of
 
 MAST = {"kind": "cylinder", "name": "mast", "center": at(150, 0), "radius_m": 5}
-
-
-@dataclass(frozen=True)
-class Outcome:
-    code: int
-    out: str
-    err: str
-
-    @property
-    def json(self) -> Any:
-        return json.loads(self.out)
-
-
-Cli = Callable[..., Outcome]
-
-
-@pytest.fixture
-def cli(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Iterator[Cli]:
-    """Run the command line in a folder of its own."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr("missionplanner.warmup.begin", lambda: None)  # says something on a first run only
-
-    def run(*arguments: str | Path) -> Outcome:
-        monkeypatch.setattr(sys, "argv", ["missionplanner", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        captured = capsys.readouterr()
-        return Outcome(int(ended.value.code or 0), captured.out, captured.err)
-
-    return run
 
 
 @pytest.fixture(scope="module")
@@ -84,20 +52,6 @@ def edited(planned: Path, folder: Path, change: Callable[[dict[str, Any]], objec
     change(document)
     (copy / PLAN_NAME).write_text(json.dumps(document))
     return copy
-
-
-def expect_refusal(outcome: Outcome, code: int, *expected: str) -> None:
-    """Check that there is exactly one line, with everything expected in it, and the same as JSON where asked for."""
-    assert outcome.code == code, outcome.err
-    assert outcome.err.startswith("missionplanner: ")
-    assert outcome.err.count("\n") == 1
-    assert outcome.err.endswith("\n")
-    assert len(outcome.err) < 1000
-    for part in expected:
-        assert part in outcome.err
-    if outcome.out:
-        message = outcome.err.removeprefix("missionplanner: ").removesuffix("\n")
-        assert outcome.json == {"error": {"message": message, "exit_code": code}}
 
 
 def field(data: dict[str, Any], path: str, value: Any) -> dict[str, Any]:
