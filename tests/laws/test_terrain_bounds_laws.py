@@ -71,7 +71,8 @@ def test_the_bound_of_a_thin_leg_is_met_somewhere_on_it(start, end, seed, rough_
     share = np.linspace(0.0, 1.0, 20_001)[:, None]
     line = corners[0] + share * (corners[1] - corners[0])
     least = (line[:, 2] - ground(t, line[:, 0], line[:, 1])).min()
-    assert least - TOLERANCE_M - 0.05 * rough_m - 0.05 <= bound(t, corners, 0.0) <= least + 1e-6
+    # pieces of 2 m are not divided further: over noise of 10 m cells, slopes change that much within one
+    assert least - TOLERANCE_M - 0.2 * rough_m <= bound(t, corners, 0.0) <= least + 1e-6
 
 
 @settings(deadline=None, max_examples=40)
