@@ -1075,6 +1075,10 @@ def _alone(space: SpaceArrays, bounds: Pyramid, names: Sequence[str], track: _Tr
     at = np.full(3, np.nan)
     margin_m = limits.terrain_margin_m
     height_m, node = _least_terrain(space, bounds, track.at(alt_amsl_m), margin_m, margin_m + _AMPLE_M, at)
+    if (
+        height_m < margin_m
+    ):  # looked into until decided, a bound is better than one that says how much there is to spare
+        height_m = max(height_m, _least_terrain(space, bounds, track.at(alt_amsl_m), margin_m, margin_m, at)[0])
     found = [
         track.finding(
             node,
@@ -1089,6 +1093,8 @@ def _alone(space: SpaceArrays, bounds: Pyramid, names: Sequence[str], track: _Tr
     found[0] = replace(found[0], to="terrain", position_m=_position(at) if node >= 0 else None)
     margin_m = limits.obstacle_margin_m
     distance_m, node, solid, part = _least_solids(space, track.at(alt_amsl_m), margin_m, margin_m + _AMPLE_M)
+    if distance_m < margin_m:
+        distance_m = max(distance_m, _least_solids(space, track.at(alt_amsl_m), margin_m, margin_m)[0])
     if solid >= 0:
         what = _named(space, names, solid)
         keeps = f"at least {distance_m:.1f} m {'from' if solid < len(names) else 'inside the'} {what} {_PARTS[part]}"
