@@ -8,7 +8,7 @@ from pathlib import Path
 
 from adapters.fleet_link import Downloaded
 from adapters.mission_items import FRAME_MISSION, MissionItem, items_sha256, plan_items, wire_to_degrees
-from adapters.sorties import mission_file_notes, read_mission_file, read_sortie
+from adapters.sorties import mission_file_notes, mission_file_rally_points, read_mission_file, read_sortie
 from missionplanner import proof
 from missionplanner.certificate import Certificate, Finding
 from missionplanner.errors import MissionError
@@ -60,7 +60,7 @@ def certify(scene: Scene, missions: Sequence[Held], *, arrival_s: float | None =
     certificate = proof.prove(scene, sorties, mission_sha256=hashes, arrival_s=arrival_s)
     waived = scene.mission.fleet.direct_return == "waived"
     otherwise = [
-        Finding("return", held.name, False, remark, "upload sets what returns need", unit="", waived=waived)
+        Finding("return", held.name, False, remark, "clear rally points; upload sets the rest", unit="", waived=waived)
         for held in missions
         for remark in held.return_remarks
     ]
@@ -134,8 +134,19 @@ def read_files(question: Mission, folder: Path, paths: Sequence[Path]) -> tuple[
         if home_m is None and vehicle.autopilot == "px4":
             home_m = _task(scene, vehicle.name).home_m
         return_height_m = _task(scene, vehicle.name).motion.return_height_m
-        notes = mission_file_notes(path)
-        missions.append(Held(vehicle.name, tuple(items), home_m, return_height_m, path=path, notes=notes))
+        notes, rally = mission_file_notes(path), mission_file_rally_points(path)
+        remarks = (f"{path.name}: rally points: {rally}, to which it may return instead of its home",) if rally else ()
+        missions.append(
+            Held(
+                vehicle.name,
+                tuple(items),
+                home_m,
+                return_height_m,
+                path=path,
+                notes=notes,
+                return_remarks=remarks,
+            )
+        )
     return scene, missions
 
 

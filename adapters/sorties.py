@@ -254,6 +254,11 @@ def mission_file_notes(path: Path) -> tuple[str, ...]:
     )
 
 
+def mission_file_rally_points(path: Path) -> int:
+    """Return how many rally points a mission file holds: the vehicle may return to one of them instead of its home."""
+    return read_plan(path).rally_points if _is_plan(path) else 0
+
+
 def _is_plan(path: Path) -> bool:
     try:
         start = path.read_bytes()[:64].removeprefix(b"\xef\xbb\xbf").lstrip()

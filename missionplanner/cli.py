@@ -133,6 +133,8 @@ def check(
             raise MissionError(
                 "--connect and --repair: expected with --mission; a plan folder is planned again instead"
             )
+        if output is not None:
+            raise MissionError("--output: expected with --mission; a plan folder's certificate and report stay in it")
         certificate, paths = _check_folder(targets[0])
     elif connect is not None:
         if targets or repair:
