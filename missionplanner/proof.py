@@ -590,7 +590,8 @@ def _energy(scene: Scene, flight: Flight) -> list[Finding]:
     settings = next(v for v in scene.mission.vehicles if v.name == sortie.name)
     model = energy.energy_model(settings)
     if model is None:
-        return [Finding("energy", sortie.name, True, "no endurance_s or energy is given: nothing is asked of it")]
+        detail = "neither endurance_s nor energy is given: whether its battery lasts is not known"
+        return [Finding("energy", sortie.name, False, detail, "give one of them", unit="", waived=True)]
     if not flight.timed:
         return [Finding("energy", sortie.name, False, "its times are not known", "use straight legs only")]
     return energy.findings(
@@ -682,18 +683,25 @@ def _together(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
         t_s=nearest.t_s,
     )
     need_s = scene.mission.fleet.lateness_s
-    slack = timing.least_slack(trajectories, required, max(need_s, LATENESS_LIMIT_S))[0]
+    limit_s = max(need_s, LATENESS_LIMIT_S)
+    slack = timing.least_slack(trajectories, required, limit_s)[0]
     late = Finding(
         "lateness",
         f"{names[slack.first]} - {names[slack.second]}",
         slack.slack_s >= need_s,
-        f"all keep apart while none is more than {slack.slack_s:.1f} s early or late, expected {need_s:g} s",
+        f"all keep apart while none is more than {_lateness_told(slack.slack_s, limit_s)} early or late, "
+        f"expected {need_s:g} s",
         "" if slack.slack_s >= need_s else "start one later, or lower fleet.lateness_s",
         slack.slack_s,
         need_s,
         "s",
     )
     return [apart, late]
+
+
+def _lateness_told(slack_s: float, limit_s: float) -> str:
+    """Return a lateness rounded down; further than the limit nobody has looked."""
+    return f"{math.floor(slack_s * 10.0) / 10.0:.1f} s" if slack_s < limit_s else f"{limit_s:g} s (or later)"
 
 
 def returning(flight: Flight) -> Returning:
@@ -795,13 +803,18 @@ def _assumptions(scene: Scene, flights: Sequence[Flight]) -> list[str]:
         )
     lines += [f"{flight.sortie.name}: {note}" for flight in flights for note in flight.sortie.notes]
     lines += [
-        f"terrain: {scene.terrain.description}, bicubic; its vertical error is part of the margins",
+        f"terrain: {scene.terrain.description}, bicubic, at most {_vertical_error_m(scene):g} m too low anywhere",
         "distances to terrain, obstacles and fence: what the whole tube keeps; between vehicles: of predicted flights",
         f"wind of at most {scene.mission.wind_max_m_s:g} m/s",
         f"each vehicle returns at its own height above home ({_heights_told(flights)}), as set and read back on upload",
         "altitudes are mean sea level; a vehicle whose altitude is wrong is refused before it is armed",
     ]
     return lines
+
+
+def _vertical_error_m(scene: Scene) -> float:
+    ground = scene.mission.terrain
+    return ground.vertical_error_m if ground.kind == "raster" else 0.0
 
 
 def _heights_told(flights: Sequence[Flight]) -> str:
