@@ -393,7 +393,6 @@ def _distances(
     scene: Scene, flight: Flight, tubes: Sequence[_Tube], owner: FloatArray, table: TubeClearances
 ) -> list[Finding]:
     """Return what is proven of the distances to obstacles, and inside the fence."""
-    need_m, name = flight.task.limits.obstacle_margin_m, flight.sortie.name
     near, edge = int(np.argmin(table.obstacle_m)), int(np.argmin(table.fence_m))
     border = "fence" if scene.mission.fence is not None else "edge of the area"
     findings = []
@@ -410,7 +409,7 @@ def _distances(
             )
         )
     else:
-        findings.append(Finding("obstacle", name, True, "there are no obstacles"))
+        findings.append(Finding("obstacle", flight.sortie.name, True, "there are no obstacles"))
     findings.append(
         _distance("fence", border, flight, float(table.fence_m[edge]), tubes[int(owner[edge])], table.fence_at_m[edge])
     )
@@ -860,8 +859,8 @@ class Conflict:
     def __str__(self) -> str:
         if self.late_s > 0.0:
             return (
-                f"{self.names[0]} and {self.names[1]} come closer than {self.required_m:g} m, of separation and errors, "
-                f"if one of them is {self.late_s:g} s early or late (fleet.lateness_s)"
+                f"{self.names[0]} and {self.names[1]} come closer than {self.required_m:g} m, of separation and errors,"
+                f" if one of them is {self.late_s:g} s early or late (fleet.lateness_s)"
             )
         return (
             f"{self.names[0]} and {self.names[1]} come within {self.distance_m:.1f} m of each other at "

@@ -264,7 +264,7 @@ def _fine_bound(
         change -= max(low_r * dr, high_r * dr) + max(low_c * dc, high_c * dc)
         drop = min(drop, change)
     drop -= 2.0 * (window[6] * gr + window[7] * gc)
-    middle = sign * (z - kernels.terrain_height(t, x, y))
+    middle: float = sign * (z - kernels.terrain_height(t, x, y))
     return max(bound, middle + drop - lost)
 
 
