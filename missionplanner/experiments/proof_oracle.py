@@ -284,7 +284,7 @@ def _closest(w: Solids, i: int, x: float, y: float, z: float) -> tuple[float, fl
 
 
 @_kernel
-def _nearest(w: Solids, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+def nearest(w: Solids, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Return the distance to the nearest solid, and its closest point."""
     least = np.inf
     qx, qy, qz = x, y, z
@@ -377,13 +377,13 @@ def _sample_legs(
             high = max(high, z + dz - aside)
             missing = missing or math.isnan(here + up_slope + down_slope + aside)
             for turn in range(2):  # towards the nearest solid, towards the nearest edge
-                d, qx, qy, qz = _nearest(w, x, y, z) if turn == 0 else _edge(w, x, y, z)
+                d, qx, qy, qz = nearest(w, x, y, z) if turn == 0 else _edge(w, x, y, z)
                 if 0.0 < d < np.inf:
                     share = radius / d
                     px, py, pz = x + share * (qx - x), y + share * (qy - y), z + share * (qz - z)
-                    d = (_nearest(w, px, py, pz) if turn == 0 else _edge(w, px, py, pz))[0] if radius < d else -1.0
+                    d = (nearest(w, px, py, pz) if turn == 0 else _edge(w, px, py, pz))[0] if radius < d else -1.0
                 if turn == 0:
-                    obstacle = min(obstacle, d, _nearest(w, x + dx, y + dy, z + dz)[0])
+                    obstacle = min(obstacle, d, nearest(w, x + dx, y + dy, z + dz)[0])
                 else:
                     fence = min(fence, d, _edge(w, x + dx, y + dy, z + dz)[0])
         table[n, LOWEST] = -np.inf if missing else low

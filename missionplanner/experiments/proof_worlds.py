@@ -66,14 +66,17 @@ def real_land(mission_path: Path) -> Land | None:
 
 def random_land(rng: np.random.Generator) -> Land:
     """Return peaks, terraces with cliffs, or noise on a turned and sheared grid, bent or not; below the sea or not."""
-    cell_m = float(rng.choice([5.0, 10.0, 20.0, 30.0]))
-    bent = bool(rng.random() < 0.2)
+    bent = bool(rng.random() < 0.25)
+    cell_m = float(rng.choice([3.0, 5.0, 8.0] if bent else [5.0, 10.0, 20.0, 30.0]))
     count = math.ceil(_SIDE_M / cell_m)
-    kind = str(rng.choice(["peaks", "terraces", "noise"]))
+    kind = "wall" if bent and rng.random() < 0.5 else str(rng.choice(["peaks", "terraces", "noise"]))
     heights = rng.uniform(-400.0, 2500.0) + _relief(rng, kind, count, cell_m)
     turn, shear = rng.uniform(-math.pi, math.pi), rng.uniform(-0.2, 0.2)
+    if kind == "wall":  # its rows run east and are bent towards it
+        turn = 0.5 * math.pi + rng.uniform(-0.1, 0.1)
     a = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn) + shear, math.cos(turn)]]) / cell_m
     bend = rng.uniform(-0.5e-4, 0.5e-4, 2) / cell_m if bent else np.zeros(2)  # cells per square metre
+    bend[0] = -0.5e-4 / cell_m if kind == "wall" else bend[0]
     middle = 0.5 * (count - 1)
     to_cell = np.zeros((2, 10))
     to_cell[:, 0], to_cell[:, 1], to_cell[:, 2] = middle, a[:, 0] * 1e4, a[:, 1] * 1e4
@@ -106,10 +109,20 @@ def _relief(rng: np.random.Generator, kind: str, count: int, cell_m: float) -> F
     if kind == "terraces":  # the surface overshoots at every edge
         step = rng.uniform(0.3, 1.5) * cell_m
         return np.floor(hills / step) * step
+    if kind == "wall":
+        level = np.zeros((count, count))
+        first = _border(count) + 2
+        level[first : first + 4] = 2.0 * cell_m
+        return level
     if kind == "noise":
         rough: FloatArray = 0.3 * hills + rng.normal(0.0, rng.uniform(0.02, 0.3) * cell_m, (count, count))
         return rough
     return hills
+
+
+def _border(count: int) -> int:
+    """Return a row near the middle of a grid at which blocks of all sizes up to 256 end."""
+    return 256 * max(1, round(0.5 * count / 256))
 
 
 def random_world(rng: np.random.Generator, land: Land, *, roomy: bool = False) -> World:
@@ -121,10 +134,11 @@ def random_world(rng: np.random.Generator, land: Land, *, roomy: bool = False) -
     ground_m = float(land.ground.at(middle[np.newaxis])[0])
     solids = tuple(_solid(rng, land, middle, half, k) for k in range(solid_count))
     fence, top = np.zeros((0, 2)), math.inf
-    if rng.random() < fenced:
+    if rng.random() < fenced and land.calm:
         fence = _star(rng, middle, 0.8 * wide * half, 1.6 * wide * half)
         top = ground_m + rng.uniform(100.0, 800.0) if rng.random() < 0.5 else math.inf
-    area = np.array([*(middle - 1.3 * wide * half), *(middle + 1.3 * wide * half)])
+    room = 1.3 * wide * half if land.calm else 0.6 * _SIDE_M
+    area = np.array([*(middle - room), *(middle + room)])
     space = SpaceArrays(land.terrain, pack(solids).arrays, fence, top, area)
     return World(land, middle, half, solids, space, solids_of(solids, fence, top, area))
 
@@ -166,16 +180,38 @@ def random_legs(
     rng: np.random.Generator, world: World, count: int, height_m: Callable[[int], FloatArray]
 ) -> FloatArray:
     """Return legs (N, 2, 3) whose middle lines pass at least ``height_m`` (N,) above the ground, as far as one sees."""
-    long_m = 300.0 if world.land.calm else 1200.0
-    length = np.exp(rng.uniform(math.log(3.0), math.log(long_m), count))
+    calm = world.land.calm  # else only long legs show what a bent grid does
+    long_m = np.where(rng.random(count) < (0.85 if calm else 0.6), 120.0, 400.0 if calm else 1600.0)
+    length = 3.0 * (long_m / 3.0) ** rng.random(count)
     turn = rng.uniform(0.0, 2.0 * math.pi, count)
-    start = world.middle + rng.uniform(-world.half_m, world.half_m, (count, 2))
-    end = start + length[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    ahead = length[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
+    start = world.middle + rng.uniform(-world.half_m, world.half_m, (count, 2)) * (1.0 if calm else 0.5)
+    start -= 0.0 if calm else 0.5 * ahead
+    end = start + ahead
+    if not calm:  # half of them between two places of one row, which lines between them leave
+        row = _border(len(world.land.ground.height_m)) - rng.uniform(0.5, 4.0, count)
+        chosen = (rng.random(count) < 0.5)[:, None]
+        start, end = (np.where(chosen, _in_row(world.land.ground, place, row), place) for place in (start, end))
     slope = rng.uniform(-0.4, 0.4, count) * (rng.random(count) < 0.7)
     legs = np.zeros((count, 2, 3))
     legs[:, 0, :2], legs[:, 1, :2] = start, end
     legs[:, 1, 2] = slope * length
     return raised(world.land.ground, legs, height_m(count))
+
+
+def _in_row(ground: Ground, place: FloatArray, row: FloatArray) -> FloatArray:
+    """Return places (N, 2) near these in rows (N,) of the grid."""
+    for _ in range(8):
+        x, y = place.T
+        slope = np.stack(
+            [
+                ground.to_cell(x + 0.5, y)[0] - ground.to_cell(x - 0.5, y)[0],
+                ground.to_cell(x, y + 0.5)[0] - ground.to_cell(x, y - 0.5)[0],
+            ],
+            axis=-1,
+        )
+        place = place + ((row - ground.to_cell(x, y)[0]) / (slope**2).sum(axis=1))[:, None] * slope
+    return place
 
 
 def raised(ground: Ground, legs: FloatArray, height_m: FloatArray) -> FloatArray:
