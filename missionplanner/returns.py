@@ -84,6 +84,7 @@ _SAMPLE_M = 30.0
 _AMPLE_M = 10.0  # beyond a margin: how much more there is nobody asks
 _NARROW_M = 0.25
 _STACK = 128
+_CLIMB_TRIES = 4
 _TRIES = 400
 _EXHAUSTIVE = 8
 """Fleets of up to so many vehicles get the lowest heights found in so many tries, larger ones the first."""
@@ -1209,6 +1210,7 @@ class _Choice:
         track = self._tracks[k]
         limits = track.vehicle.limits
         alt = track.rounded_up_m(lowest_amsl_m)
+        spare_tries = _CLIMB_TRIES
         while True:
             need, node = _terrain_need(self._space, self._bounds, track.at(alt), limits.terrain_margin_m)
             if not math.isfinite(need):
@@ -1221,6 +1223,10 @@ class _Choice:
             found, node, solid, part = _least_solids(self._space, track.at(alt), need_m, need_m)
             if found >= need_m:
                 break
+            if part == _CLIMB and spare_tries > 0:  # who is to climb further climbs already while it brakes
+                spare_tries -= 1
+                alt += 1.0
+                continue
             what = f"{_named(self._space, self._names, solid)} is {found:.1f} m off {_PARTS[part]}"
             solids = self._space.obstacles
             if part != _WAY or solid == len(self._names) or not math.isfinite(solids.bound[solid, 4]):

@@ -97,5 +97,7 @@ def test_plans_come_back_within_a_hundred_nanodegrees_and_a_millimetre(
     vehicle = vehicle_plan(autopilot=autopilot, end=end, waypoints_m=waypoints_m)
     back = FRAME.to_geo(item_waypoints(plan_items(vehicle, FRAME), autopilot, FRAME))
     there = FRAME.to_geo(vehicle.waypoints_m)
+    if autopilot == "ardupilot":  # to which an altitude of nought means the present one: never sent, but for home's top
+        there[2][1:][np.abs(there[2][1:]) < 0.02] = 0.02
     for k, tolerance in enumerate([1e-7, 1e-7, 1e-3]):
         np.testing.assert_allclose(back[k], there[k], atol=tolerance, rtol=0)

@@ -72,7 +72,7 @@ def question(vehicles: int = 2, **changes: Any) -> dict[str, Any]:
         "vehicles": [
             {
                 "name": f"uav{i}", "home": at(-40, 40 * i - 20), "goal": at(600, 40 * i - 20, 60),
-                "safety": {"landing_slope_max_deg": 40}, "return_height_m": 260 + 40 * i,
+                "safety": {"landing_slope_max_deg": 40}, "return_height_m": 260 + 40 * i, "endurance_s": 7200,
             }
             for i in range(vehicles)
         ],
