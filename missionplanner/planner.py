@@ -27,7 +27,7 @@ from missionplanner.path import evenly
 from missionplanner.path_search import PlannedPath, find_path
 from missionplanner.plan import FleetPlan, Trajectory, VehiclePlan
 from missionplanner.proof import Conflict
-from missionplanner.returns import UnreturnableError
+from missionplanner.returns import Returning, UnreturnableError
 from missionplanner.scene import Scene, Towers, VehicleTask
 
 _FELLOW_INSTANTS = 128
@@ -227,7 +227,7 @@ def with_return_heights(scene: Scene, plan: FleetPlan) -> Scene:
     """
     flights = proof.predict(scene, [proof.planned_sortie(scene, vehicle) for vehicle in plan.vehicles])
     waived = scene.mission.fleet.direct_return == "waived"
-    vehicles = [proof.returning(flight) for flight in flights]
+    vehicles = [_waiting(flight) if flight.sortie.ending == "rtl" else proof.returning(flight) for flight in flights]
     if waived:  # only those return that are to return at their goals
         vehicles = [
             replace(v, airborne_s=v.descends_s) for v, p in zip(vehicles, plan.vehicles, strict=True) if p.end == "rtl"
@@ -247,6 +247,19 @@ def with_return_heights(scene: Scene, plan: FleetPlan) -> Scene:
         [settings[v.name] for v in vehicles],
     )
     return returning_at(scene, {v.name: height_m for v, height_m in zip(vehicles, heights_m, strict=True)})
+
+
+def _waiting(flight: proof.Flight) -> Returning:
+    """Return a flight that waits at its goal: at which height it returns from there is still to be chosen.
+
+    That way home is one of its mission's legs, and as wide as they are.
+    """
+    until = flight.trajectory.t_s <= flight.reached_s[-1]
+    trajectory = Trajectory(flight.trajectory.t_s[until], flight.trajectory.position_m[until])
+    limits = flight.task.limits
+    limits = replace(limits, tracking_error_m=limits.tracking_error_m + limits.deviation_m)
+    returning = proof.returning(flight)
+    return replace(returning, limits=limits, trajectory=trajectory, descends_s=float(trajectory.t_s[-1]))
 
 
 def returning_at(scene: Scene, height_m: Mapping[str, float]) -> Scene:

@@ -14,9 +14,9 @@ from tests.scenes import at, copter, question, scene_of
 _MAST = {"kind": "cylinder", "name": "mast", "center": at(250, 0), "radius_m": 8, "top_height_agl_m": 90}
 _COPTERS = (
     copter("a", (0, -50), (500, -50)),
-    copter("b", (0, 0), (480, 100), stops=[at(200, 130, agl=50)]),
-    copter("c", (0, 50), (500, 20), autopilot="px4"),
-)
+    copter("b", (0, 50), (480, 100), stops=[at(200, 130, agl=50)]),
+    copter("c", (0, 0), (500, 20), autopilot="px4"),
+)  # their ways home do not cross
 
 
 @pytest.mark.parametrize(
