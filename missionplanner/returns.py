@@ -213,7 +213,8 @@ def _track(v: Returning, ticks: int) -> _Track:
         p[after, :2] = p[-1, :2]
         if v.descends_s < end_s:
             state[t > end_s] = _LANDED
-        stop, swing, drop, rise, lift = _stopping(v.motion, p)
+        # as it is predicted: what is snapped to its home or landing place jumps there
+        stop, swing, drop, rise, lift = _stopping(v.motion, v.trajectory.at(t))
         low, high = p[:, 2] - drop, p[:, 2] + rise
     floor = np.where(before | after, math.inf, low)
     return _Track(
@@ -1231,6 +1232,10 @@ class _Choice:
             solids = self._space.obstacles
             if part != _WAY or solid == len(self._names) or not math.isfinite(solids.bound[solid, 4]):
                 raise self._blocked(k, node, what, need_m - found if part == _CLIMB else 0.0)
+            if (
+                alt > solids.bound[solid, 4] + need_m + track.radius_m + _LEVEL_M
+            ):  # above it, and still near: a plane's way
+                raise self._blocked(k, node, what)
             # nobody gains more distance than height: nothing that is clear is skipped
             alt = track.rounded_up_m(alt + max(1.0, need_m - found - 3.0 * _TOLERANCE_M))
         at = np.empty(3)

@@ -29,7 +29,7 @@ from missionplanner.obstacles import (
     pack,
 )
 from missionplanner.terrain import Rectangle, Terrain
-from missionplanner.terrain_bounds import steepest
+from missionplanner.terrain_bounds import least_heights, steepest
 from missionplanner.vehicle import (
     Ending,
     MotionModel,
@@ -329,16 +329,18 @@ class _Builder:
         return self._highest_ground(outline, what) + obstacle.top_height_agl_m
 
     def _highest_ground(self, outline: FloatArray, what: str) -> float:
-        """Return the highest of the ground at a polygon's corners and on a grid inside it."""
-        west, south, east, north = _around(outline)
-        step = max(0.5 * self._terrain.spacing_m, max(east - west, north - south) / 200)
-        x, y = np.meshgrid(np.arange(west, east, step), np.arange(south, north, step))
-        inside = [
-            (a, b)
-            for a, b in zip(x.ravel().tolist(), y.ravel().tolist(), strict=True)
-            if kernels.polygon_distance(outline, 0, len(outline), a, b) < 0
-        ]
-        return max(self._terrain.ground_amsl_m(a, b, what) for a, b in [*outline.tolist(), *inside])
+        """Return an upper bound of the ground in a polygon: the triangles at its first corner cover all of it."""
+        for x, y in outline.tolist():
+            self._terrain.ground_amsl_m(x, y, what)
+        triangles = np.zeros((len(outline) - 2, 3, 3))
+        for k, triangle in enumerate(triangles, start=1):
+            triangle[:, :2] = outline[[0, k, k + 1]]
+        none = np.zeros(len(triangles))
+        found = least_heights(self._terrain.arrays, self._terrain.bounds, triangles, none, 1.0, none + np.inf)
+        highest_m = -float(found[:, 0].min())
+        if not math.isfinite(highest_m):
+            raise MissionError(f"{what}: expected terrain below all of it, got voids: write top_alt_amsl_m instead")
+        return highest_m
 
     def _tower_tops(self) -> Towers | None:
         inspection = self._mission.inspection
@@ -678,4 +680,5 @@ def _apart_across_m(a: FloatArray, b: FloatArray) -> float:
 
 def _circle(x: float, y: float, radius_m: float) -> FloatArray:
     angle = np.linspace(0.0, 2 * math.pi, 16, endpoint=False)
-    return np.stack([x + radius_m * np.cos(angle), y + radius_m * np.sin(angle)], axis=-1)
+    around_m = radius_m / math.cos(math.pi / 16)
+    return np.stack([x + around_m * np.cos(angle), y + around_m * np.sin(angle)], axis=-1)

@@ -165,9 +165,10 @@ def _velocity_wanted(s: FloatArray, k: IntArray, route: FloatArray, wanted: Floa
             py = s[TARGET + 1] - s[ORIGIN + 1]
             pz = s[TARGET + 2] - s[ORIGIN + 2]
             done = px * lx + py * ly + pz * lz
-            off2 = (done * lx - px) ** 2 + (done * ly - py) ** 2 + (done * lz - pz) ** 2
-            ahead = done + math.sqrt(max(max(s[RADIUS], 5.0) ** 2 - off2, 0.0))
-            dx, dy, dz = ahead * lx - px, ahead * ly - py, ahead * lz - pz
+            if done <= length:  # beyond, it has missed the waypoint and turns back to it
+                off2 = (done * lx - px) ** 2 + (done * ly - py) ** 2 + (done * lz - pz) ** 2
+                ahead = done + math.sqrt(max(max(s[RADIUS], 5.0) ** 2 - off2, 0.0))
+                dx, dy, dz = ahead * lx - px, ahead * ly - py, ahead * lz - pz
         speed_xy = min(speed_xy, s[TURN_SPEED])
     else:
         s[TURN_SPEED] = speed_xy
