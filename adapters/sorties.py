@@ -451,6 +451,8 @@ class _Reader:
         place = self._place(item)
         if held and self.plane:
             self._gap(item, "0, 0 is wherever the plane then is")
+        elif held and self.legs and self.legs[-1].kind == "circle":
+            self._gap(item, "0, 0 is wherever on its circle it then is")
         return np.array([place[0], place[1], self._altitude(item, place, level=int(item.z * 100.0) == 0 and held)])
 
     def _held(self, item: MissionItem) -> bool:
@@ -582,7 +584,7 @@ class _Reader:
         elif item.command == LOITER_TIME:
             # it is a stop even if for no time
             self._fly(item, center_m, hold_s=max(self._seconds(item), _BRIEF_STOP_S))
-        elif not self.legs or np.linalg.norm(center_m - self.here_m) > _SAME_PLACE_M:
+        elif not self._is_at(center_m):
             self._fly(item, center_m)
         if item.command == LOITER_UNLIMITED:
             self._end(item, "loiter")
@@ -617,7 +619,7 @@ class _Reader:
             self._gap(item, f"its radius of {asked_m:g} m is stored differently from version to version")
         own = abs(asked_m - self.motion.loiter_radius_m) <= 0.5 + 1e-3 and not item.param3 < 0.0
         if item.command == LOITER_UNLIMITED and own:
-            if not self.legs or np.linalg.norm(center_m - self.here_m) > _SAME_PLACE_M:
+            if not self._is_at(center_m):
                 self._fly(item, center_m)
             return
         hold_s, turns = 0.0, math.inf
@@ -650,9 +652,16 @@ class _Reader:
             end_m[2] = self._altitude(item, place, level=False)
         elif self._rolling_spline() and self._altitude(item, place, level=False) != self.here_m[2]:
             self._gap(item, "the spline before it bends towards its altitude")
-        if self.legs and np.linalg.norm(end_m - self.here_m) > _SAME_PLACE_M:
+        circled = bool(self.legs) and self.legs[-1].kind == "circle"
+        if self.legs and not (self._is_at(end_m) or (circled and self._held(item))):
             self._fly(item, end_m)
         self._end(item, "land")
+
+    def _is_at(self, place_m: FloatArray) -> bool:
+        """Return whether it is in the air and at a place already; around a circle's centre it is not."""
+        if not self.legs or self.legs[-1].kind == "circle":
+            return False
+        return bool(np.linalg.norm(place_m - self.here_m) <= _SAME_PLACE_M)
 
     def _rolling_spline(self) -> bool:
         """Return whether the leg before is a spline that looks at what comes next."""

@@ -25,7 +25,7 @@ from missionplanner.motion.spline import spline_chords
 from missionplanner.plan import Clearance, FleetPlan, Trajectory, VehiclePlan
 from missionplanner.returns import Returning
 from missionplanner.scene import Scene, VehicleTask
-from missionplanner.sortie import Leg, Sortie
+from missionplanner.sortie import Gap, Leg, Sortie
 from missionplanner.terrain_bounds import steepest
 
 ARRIVAL_ERROR_MAX_S = 0.5
@@ -245,7 +245,8 @@ def _tubes(scene: Scene, flight: Flight) -> list[_Tube]:
                 tubes.append(_Tube(leg, leg.kind, polyline_legs(curve), _SPLINE_CHORD_M, over_terrain=True))
             case "circle":
                 ring = _ring(leg.end_m, leg.radius_m)
-                way = np.concatenate([_ways(begins, leg.end_m), polyline_legs(ring)])
+                off_m = flight.task.limits.tube_m + wider_m
+                way = np.concatenate([_ways_onto_circle(begins, leg, ring, off_m), polyline_legs(ring)])
                 tubes.append(_Tube(leg, leg.kind, way, max(wider_m, _between_m(leg.radius_m)), over_terrain=True))
         begins, wider_m = leg.end_m[np.newaxis], 0.0
         if leg.kind == "circle":
@@ -279,6 +280,25 @@ def _ring(centre_m: FloatArray, radius_m: float) -> FloatArray:
 def _between_m(radius_m: float) -> float:
     """Return how far a place on a circle is at most from the nearest corner of its polygon."""
     return 2.0 * radius_m * math.sin(0.25 * 2.0 * math.pi / _RING_SIDES)
+
+
+def _ways_onto_circle(starts_m: FloatArray, leg: Leg, ring: FloatArray, off_m: float) -> FloatArray:
+    """Return legs (N, 2, 3) from places (N, 3), off by ``off_m`` at most, to where a copter may enter a circle.
+
+    That is where its edge is nearest, at its altitude already (ArduCopter's circle_movetoedge_start). Who is outside
+    by more than it may be off enters no further off than that; who is not may enter anywhere.
+    """
+    ways = []
+    for start in starts_m:
+        out = (start - leg.end_m) * (1.0, 1.0, 0.0)
+        away_m = float(np.linalg.norm(out))
+        ends = ring
+        if away_m - off_m > leg.radius_m:
+            edge = leg.end_m + (leg.radius_m / away_m) * out
+            near = np.linalg.norm(ring - edge, axis=1) <= off_m + _between_m(leg.radius_m)
+            ends = np.concatenate([edge[np.newaxis], ring[near]])
+        ways.append(np.stack([np.broadcast_to(start, ends.shape), ends], axis=1))
+    return np.concatenate(ways)
 
 
 def _ways(starts_m: FloatArray, end_m: FloatArray) -> FloatArray:
@@ -316,13 +336,14 @@ def _predicted_tubes(flight: Flight) -> list[_Tube]:
 
 def _understood(flight: Flight) -> Finding:
     sortie = flight.sortie
-    if not sortie.gaps:
+    gaps = list(sortie.gaps)
+    if sortie.vehicle_class == "plane":
+        gaps += [Gap(leg.seq, "how a plane flies this circle is not predicted") for leg in sortie.legs if leg.radius_m]
+    if not gaps:
         return Finding("understood", sortie.name, True, "the path of every mission item is known")
-    first, *others = sortie.gaps  # the finding names the first one's item itself
+    first, *others = gaps  # the finding names the first one's item itself
     told = "; ".join([first.what, *(f"item {gap.seq}: {gap.what}" for gap in others)])
-    return Finding(
-        "understood", sortie.name, False, told, "replace it by waypoints with altitudes", seq=sortie.gaps[0].seq
-    )
+    return Finding("understood", sortie.name, False, told, "replace it by waypoints with altitudes", seq=first.seq)
 
 
 def _heights(
@@ -345,7 +366,12 @@ def _heights(
         detail, remedy = f"its tube stays at least {height_m:.2f} m above the ground, expected {need_m:g} m", ""
     else:
         detail = f"terrain clearance is {height_m:.2f} m, expected {need_m:g} m"
-        remedy = f"raise waypoint {leg.seq} or the one before it by {need_m - height_m:.1f} m"
+        way_home = tubes[int(owner[low])].kind == "return"
+        remedy = (
+            f"raise return_height_m by {need_m - height_m:.1f} m"
+            if way_home
+            else f"raise waypoint {leg.seq} or the one before it by {need_m - height_m:.1f} m"
+        )
     findings = [
         Finding(
             "terrain",
@@ -444,7 +470,7 @@ def _angles(flight: Flight) -> Finding:
         if leg.kind == "spline":
             line = spline_chords(sortie, index, _SPLINE_CHORD_M)
         for step in np.diff(line, axis=0):
-            angle_rad = math.atan2(step[2], math.hypot(step[0], step[1]))
+            angle_rad = math.atan2(step[2], _least_across_m(math.hypot(step[0], step[1]), before, leg))
             most_rad = limits.climb_angle_rad if angle_rad > 0.0 else limits.descent_angle_rad
             if abs(angle_rad) - most_rad > worst and np.any(step != 0.0):
                 worst, seq = abs(angle_rad) - most_rad, leg.seq
@@ -453,6 +479,13 @@ def _angles(flight: Flight) -> Finding:
     proven = worst <= _ANGLE_SLACK_RAD
     remedy = "" if proven else "put a waypoint between, or move the two apart"
     return Finding("angle", sortie.name, proven, f"its steepest leg {text}", remedy, unit="", seq=seq)
+
+
+def _least_across_m(across_m: float, before: Leg, leg: Leg) -> float:
+    """Return how short a leg may be on the map: it begins and ends anywhere on circles around its ends."""
+    if before.radius_m > 0.0 and leg.radius_m > 0.0:
+        return max(0.0, across_m - before.radius_m - leg.radius_m)
+    return abs(across_m - before.radius_m - leg.radius_m)
 
 
 def _turns(flight: Flight) -> Finding:
@@ -560,6 +593,9 @@ def _landings(scene: Scene, flight: Flight) -> list[Finding]:
     if sortie.ending == "land":
         places.append(("its landing place", sortie.legs[-1].end_m, sortie.ending_seq))
     findings = []
+    if sortie.ending == "land" and sortie.legs[-1].kind == "circle":
+        detail, remedy = "lands anywhere on its circle", "put a waypoint above the landing place"
+        findings.append(Finding("landing", sortie.name, False, detail, remedy, unit="", seq=sortie.ending_seq))
     for what, place, seq in places:
         slope = float(steepest(scene.terrain.arrays, place[0], place[1], flight.task.limits.tube_m))
         angle_deg, most_deg = math.degrees(math.atan(slope)), math.degrees(flight.task.limits.landing_slope_rad)
@@ -800,14 +836,28 @@ def _assumptions(scene: Scene, flights: Sequence[Flight]) -> list[str]:
             f"{limits.tracking_error_m:g} m tracking, {limits.position_error_m:g} m position, "
             f"{limits.deviation_m:g} m corners cut and look-ahead of {motion.autopilot}"
         )
+    lines += _starts_told(scene, flights)
     lines += [f"{flight.sortie.name}: {note}" for flight in flights for note in flight.sortie.notes]
     lines += [
         f"terrain: {scene.terrain.description}, bicubic, at most {_vertical_error_m(scene):g} m too low anywhere",
         "distances to terrain, obstacles and fence: what the whole tube keeps; between vehicles: of predicted flights",
         f"wind of at most {scene.mission.wind_max_m_s:g} m/s",
-        f"each vehicle returns at its own height above home ({_heights_told(flights)}), as set and read back on upload",
+        f"each vehicle is set to return at its height above home ({_heights_told(flights)}); upload and fly set it",
         "altitudes are mean sea level; a vehicle whose altitude is wrong is refused before it is armed",
     ]
+    return lines
+
+
+def _starts_told(scene: Scene, flights: Sequence[Flight]) -> list[str]:
+    """Return when who is taken to start, and who not at all, where there are several vehicles."""
+    lines = []
+    if len(flights) > 1:
+        told = ", ".join(f"{f.sortie.name} after {f.sortie.start_delay_s:g} s" for f in flights)
+        lines.append(f"all missions are started together, and vehicles start: {told}")
+    flying = {flight.sortie.name for flight in flights}
+    absent = [task.name for task in scene.tasks if task.name not in flying]
+    if absent:
+        lines.append(f"not judged, and taken not to fly: {', '.join(absent)}")
     return lines
 
 

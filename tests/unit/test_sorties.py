@@ -303,6 +303,15 @@ def test_arducopter_circles() -> None:
     assert "PX4 refuses it" in _px4(_item(18, 9.0, 0.0, 1240.0, param1=1.0, param3=9.0), RTL).gaps[0].what
 
 
+def test_from_its_circle_arducopter_flies_to_the_middle() -> None:
+    circle = _item(18, 100.0, 0.0, 1240.0, param1=1.0, param3=50.0)
+    for ending in (_item(21, 100.0, 0.0, 0.0), _item(17, 100.0, 0.0, 1240.0)):
+        assert [leg.kind for leg in _copter(A, circle, ending).legs] == ["takeoff", "straight", "circle", "straight"]
+    below = _copter(A, circle, _item(21, at=False))
+    assert [leg.kind for leg in below.legs] == ["takeoff", "straight", "circle"]  # lands wherever on it
+    assert "wherever on its circle" in _copter(A, circle, _item(16, at=False), RTL).gaps[0].what
+
+
 def test_planes_circle() -> None:
     own = _plane(A, _item(17, 100.0, 0.0, 1240.0, param3=60.0))
     assert [leg.kind for leg in own.legs] == ["takeoff", "straight"]  # what every loiter at the end is
