@@ -11,10 +11,11 @@ from adapters.mission_items import FRAME_MISSION, MissionItem, items_sha256, pla
 from adapters.sorties import mission_file_notes, mission_file_rally_points, read_mission_file, read_sortie
 from missionplanner import proof
 from missionplanner.certificate import Certificate, Finding
-from missionplanner.errors import MissionError
+from missionplanner.errors import InfeasibleError, MissionError
 from missionplanner.geodesy import FloatArray
 from missionplanner.mission import Mission, Vehicle
 from missionplanner.plan import FleetPlan, VehiclePlan
+from missionplanner.planner import return_heights_m
 from missionplanner.scene import Scene, VehicleTask, build_check_scene
 from missionplanner.sortie import Sortie
 
@@ -58,9 +59,10 @@ def certify(scene: Scene, missions: Sequence[Held], *, arrival_s: float | None =
     sorties = [sortie(scene, held) for held in missions]
     hashes = {held.name: items_sha256(held.items) for held in missions}
     certificate = proof.prove(scene, sorties, mission_sha256=hashes, arrival_s=arrival_s)
-    waived = scene.mission.fleet.direct_return == "waived"
-    otherwise = [
-        Finding("return", held.name, False, remark, "clear rally points; upload sets the rest", unit="", waived=waived)
+    waived = {s.name: s.ending != "rtl" and scene.mission.fleet.direct_return == "waived" for s in sorties}
+    remedy = "clear rally points; upload sets the rest"
+    otherwise = [  # a mission that ends with its return cannot do without
+        Finding("return", held.name, False, remark, remedy, unit="", waived=waived[held.name])
         for held in missions
         for remark in held.return_remarks
     ]
@@ -150,6 +152,22 @@ def read_files(question: Mission, folder: Path, paths: Sequence[Path]) -> tuple[
     return scene, missions
 
 
+def with_return_heights(scene: Scene, missions: Sequence[Held]) -> list[Held]:
+    """Return missions with the least heights at which their vehicles return clear of all, and apart, if there are any.
+
+    Files do not say at which height their vehicles return: the certificate says which to set. Heights that the mission
+    file gives are kept.
+    """
+    flights = proof.predict(scene, [sortie(scene, held) for held in missions])
+    if not all(flight.timed for flight in flights):
+        return list(missions)
+    try:
+        heights_m = return_heights_m(scene, flights)
+    except InfeasibleError:
+        return list(missions)  # the proof will say why
+    return [replace(held, return_height_m=heights_m.get(held.name, held.return_height_m)) for held in missions]
+
+
 def read_vehicles(question: Mission, folder: Path, downloaded: Mapping[int, Downloaded]) -> tuple[Scene, list[Held]]:
     """Return the missions that a mission's vehicles were found to hold, by sysid, and the scene to judge them in.
 
@@ -183,6 +201,11 @@ def _owners(question: Mission, paths: Sequence[Path]) -> list[Vehicle]:
         raise MissionError(
             f"--mission: expected at most a file for each of its vehicles ({', '.join(vehicles)}), got {len(paths)}"
         )
+    stems = [path.stem for path in paths]
+    for name in vehicles:
+        if stems.count(name) > 1:
+            told = " and ".join(str(path) for path in paths if path.stem == name)
+            raise MissionError(f"{name}: expected one file, got {told}: check them one after the other")
     named = {path: vehicles.pop(path.stem) for path in paths if path.stem in vehicles}
     left = iter(vehicles.values())
     return [named[path] if path in named else next(left) for path in paths]

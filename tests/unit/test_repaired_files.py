@@ -261,3 +261,25 @@ def test_other_items_and_the_file_itself_are_refused(tmp_path: Path) -> None:
         write_repaired(path, tmp_path / "new.waypoints", faster, "ardupilot")
     with pytest.raises(MissionError, match="expected another file than the one that is repaired"):
         write_repaired(path, path, items, "ardupilot")
+
+
+def test_one_vehicle_has_one_file(tmp_path: Path) -> None:
+    question_ = Mission.model_validate(question(area=AREA))  # alpha and bravo
+    paths = [tmp_path / "alpha.plan", tmp_path / "alpha.waypoints"]
+    with pytest.raises(MissionError, match=r"alpha: expected one file, got .*alpha.plan and .*alpha.waypoints"):
+        read_files(question_, tmp_path, paths)
+
+
+@pytest.mark.parametrize(("ending", "waived"), [(RETURN_TO_LAUNCH, False), (LOITER_UNLIMITED, True)])
+def test_a_mission_that_ends_with_its_return_cannot_do_without(ending: int, waived: bool) -> None:
+    """It would end elsewhere than where it is proven to, whatever fleet.direct_return says."""
+    last = MissionItem(0, 2, ending) if ending == RETURN_TO_LAUNCH else item(ending, 200, 0, 60)
+    items = numbered(HOME, item(TAKEOFF, 0, 0, 60), item(WAYPOINT, 200, 0, 60), last)
+    asks = Mission.model_validate(
+        question(copter("alpha", (0, 0), (200, 0)), area=AREA, fleet={"direct_return": "waived"})
+    )
+    space = build_check_scene(asks, Path(), [])
+    held = Held("alpha", items, None, 30.0, return_remarks=("it holds 2 rally points",))
+    certificate = certify(space, [held])
+    finding = next(f for f in certificate.findings if f.detail == "it holds 2 rally points")
+    assert (finding.proven, finding.waived, certificate.proven) == (False, waived, waived)
