@@ -701,6 +701,8 @@ def _finding(
     held_height = yield from station.reading(peer, autopilot, height, None)
     assert held_height is not None
     height_m = height.meant(held_height)
+    if not math.isfinite(height_m):
+        raise peer.error(f"holds {held_height.name} {held_height.value:g}: expected a height to return at: set it")
     for setting in return_settings(autopilot, vehicle_class, height_m)[1:]:
         held = yield from station.reading(peer, autopilot, setting, held_height.name)
         if held is not None and setting.meant(held) != setting.value:

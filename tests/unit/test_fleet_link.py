@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -425,6 +426,13 @@ def test_reading_changes_nothing_and_tells_of_rally_points_and_of_no_height() ->
     ]
     assert dict(parameters) == before
     assert not {"PARAM_SET", "MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_ITEM_INT"} & set(sent)
+
+
+def test_a_return_height_that_is_no_number_is_refused() -> None:
+    rig = returning("px4", [42.5])
+    rig.sim.links[0].autopilot.parameters["RTL_RETURN_ALT"] = math.nan
+    with pytest.raises(LinkError, match="holds RTL_RETURN_ALT nan: expected a height to return at"):
+        download_missions(rig.pipes, rig.clock)
 
 
 def test_a_vehicle_that_is_expected_and_silent_is_named() -> None:
