@@ -581,7 +581,7 @@ def _check_files(
     mission: Path, files: Sequence[Path], output: Path | None, *, repair: bool
 ) -> tuple[Certificate, dict[str, Path], list[dict[str, Any]]]:
     """Prove mission files of any origin over a mission's terrain and obstacles; repaired copies go to a folder."""
-    from adapters.certificates import certify, read_files
+    from adapters.certificates import certify, read_files, with_return_heights
     from adapters.repaired_files import repaired
 
     scene, missions = read_files(_mission(mission), mission.parent, files)
@@ -590,6 +590,7 @@ def _check_files(
     if repair:
         missions, moved = repaired(scene, missions, folder)
         moves = [row.as_json() for row in moved]
+    missions = with_return_heights(scene, missions)
     certificate = certify(scene, missions)
     return certificate, _write_check(folder, scene, missions, certificate), moves
 

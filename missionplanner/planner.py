@@ -226,11 +226,25 @@ def with_return_heights(scene: Scene, plan: FleetPlan) -> Scene:
         There are none.
     """
     flights = proof.predict(scene, [proof.planned_sortie(scene, vehicle) for vehicle in plan.vehicles])
-    waived = scene.mission.fleet.direct_return == "waived"
+    return returning_at(scene, return_heights_m(scene, flights))
+
+
+def return_heights_m(scene: Scene, flights: Sequence[proof.Flight]) -> dict[str, float]:
+    """Return, by name, the least heights above home at which vehicles return clear of all, and apart.
+
+    Where the mission waives the direct return, only of those that return at their goals.
+
+    Raises
+    ------
+    UnreturnableError
+        There are none.
+    """
     vehicles = [_waiting(flight) if flight.sortie.ending == "rtl" else proof.returning(flight) for flight in flights]
-    if waived:  # only those return that are to return at their goals
+    if scene.mission.fleet.direct_return == "waived":
         vehicles = [
-            replace(v, airborne_s=v.descends_s) for v, p in zip(vehicles, plan.vehicles, strict=True) if p.end == "rtl"
+            replace(v, airborne_s=v.descends_s)
+            for v, flight in zip(vehicles, flights, strict=True)
+            if flight.sortie.ending == "rtl"
         ]
     settings = {vehicle.name: vehicle.return_height_m for vehicle in scene.mission.vehicles}
     tasks = {task.name: task for task in scene.tasks}
@@ -246,7 +260,7 @@ def with_return_heights(scene: Scene, plan: FleetPlan) -> Scene:
         apart_m,
         [settings[v.name] for v in vehicles],
     )
-    return returning_at(scene, {v.name: height_m for v, height_m in zip(vehicles, heights_m, strict=True)})
+    return {v.name: height_m for v, height_m in zip(vehicles, heights_m, strict=True)}
 
 
 def _waiting(flight: proof.Flight) -> Returning:

@@ -724,19 +724,15 @@ def _together(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
         "lateness",
         f"{names[slack.first]} - {names[slack.second]}",
         slack.slack_s >= need_s,
-        f"all keep apart while none is more than {_lateness_told(slack.slack_s, limit_s)} early or late, "
-        f"expected {need_s:g} s",
+        # rounded down; further than the limit nobody has looked
+        f"all keep apart while none is more than {math.floor(slack.slack_s * 10.0) / 10.0:.1f} s early or late"
+        f"{', perhaps further' if slack.slack_s >= limit_s else ''}, expected {need_s:g} s",
         "" if slack.slack_s >= need_s else "start one later, or lower fleet.lateness_s",
         slack.slack_s,
         need_s,
         "s",
     )
     return [apart, late]
-
-
-def _lateness_told(slack_s: float, limit_s: float) -> str:
-    """Return a lateness rounded down; further than the limit nobody has looked."""
-    return f"{math.floor(slack_s * 10.0) / 10.0:.1f} s" if slack_s < limit_s else f"{limit_s:g} s (or later)"
 
 
 def returning(flight: Flight) -> Returning:
