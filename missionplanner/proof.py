@@ -19,6 +19,7 @@ import numpy.typing as npt
 from missionplanner import __version__, energy, returns, timing
 from missionplanner.certificate import Certificate, Check, Finding, LegVerdict, Position
 from missionplanner.clearance import TubeClearances, distance_to_legs_m, polyline_legs, tube_clearances
+from missionplanner.errors import MissionError
 from missionplanner.flight_check import nearest_pair
 from missionplanner.geodesy import FloatArray
 from missionplanner.motion.spline import spline_chords
@@ -83,11 +84,27 @@ def prove(
 
 
 def predict(scene: Scene, sorties: Sequence[Sortie]) -> list[Flight]:
-    """Return sorties with their predicted flights; planes circle until the last vehicle is down."""
+    """Return sorties with their predicted flights; planes circle until the last vehicle is down.
+
+    Raises
+    ------
+    MissionError
+        A sortie with a number that is not finite: no bound holds for it.
+    """
+    for sortie in sorties:
+        _check_finite(sortie)
     tasks = {task.name: task for task in scene.tasks}
     flights = [_predicted(scene, tasks[sortie.name], sortie) for sortie in sorties]
     last_s = max(float(flight.trajectory.t_s[-1]) for flight in flights)
     return [_predicted(scene, f.task, f.sortie, last_s) if f.sortie.vehicle_class == "plane" else f for f in flights]
+
+
+def _check_finite(sortie: Sortie) -> None:
+    told = {f"item {leg.seq}": [*leg.end_m, leg.speed_m_s, leg.hold_s, leg.radius_m] for leg in sortie.legs}
+    told |= {"home": sortie.home_m, "start delay and return height": [sortie.start_delay_s, sortie.return_height_m]}
+    for what, numbers in told.items():
+        if not np.isfinite(numbers).all():
+            raise MissionError(f"{sortie.name}: {what}: expected finite numbers, got {np.asarray(numbers).tolist()}")
 
 
 def prove_flights(
@@ -736,14 +753,14 @@ def _together(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
 
 
 def returning(flight: Flight) -> Returning:
-    """Return what of a flight its return is judged by."""
+    """Return what of a flight its return is judged by: all of it, even if it only takes off and lands."""
     return Returning(
         name=flight.sortie.name,
         home_m=flight.sortie.home_m,
         limits=flight.task.limits,
         motion=replace(flight.task.motion, return_height_m=flight.sortie.return_height_m),
         trajectory=flight.trajectory,
-        airborne_s=float(flight.reached_s[0]),
+        airborne_s=min(float(flight.reached_s[0]), math.nextafter(flight.descends_s, -math.inf)),
         descends_s=flight.descends_s,
     )
 

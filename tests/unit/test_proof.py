@@ -15,6 +15,7 @@ from adapters.sorties import plan_sortie
 from missionplanner import kernels, proof
 from missionplanner.certificate import Certificate, Finding
 from missionplanner.clearance import distance_to_legs_m, polyline_legs, tube_clearances
+from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
 from missionplanner.motion.spline import spline_bezier
 from missionplanner.path_search import PlannedPath
@@ -677,6 +678,34 @@ def test_circles_of_planes_on_their_way_are_not_proven() -> None:
     flown = Sortie("wing", 1, "ardupilot", "plane", np.array([0.0, 0.0, 100.0]), legs, "loiter", 5, 0.0, 100.0)
     finding = found(proof.prove(there, [flown]), "understood", "wing")
     assert (finding.holds, finding.seq) == (False, 4)
+
+
+@pytest.mark.parametrize("what", ["item 3", "home", "start delay and return height"])
+def test_no_bound_holds_for_what_is_no_number(what: str) -> None:
+    there = scene()
+    good = sortie(there)
+    bad = {
+        "item 3": replace(good, legs=(good.legs[0], leg(300, 0, math.nan))),
+        "home": replace(good, home_m=np.array([0.0, math.nan, 100.0])),
+        "start delay and return height": replace(good, ending="rtl", return_height_m=math.nan),
+    }[what]
+    with pytest.raises(MissionError, match=f"alpha: {what}: expected finite numbers, got .*nan"):
+        proof.prove(there, [bad])
+
+
+def test_who_only_takes_off_and_lands_may_be_told_to_return_on_its_way_up() -> None:
+    # alpha climbs while bravo, on its way out, would return above alpha's home; when alpha lands, bravo is past it
+    bravo = copter("bravo", (-300, 0), (-150, 200))
+    wide = {"south_west": at(-900, -900), "north_east": at(900, 900)}
+    there = scene(ALPHA, bravo, area=wide, fleet={"direct_return": "required"})
+    up = sortie(scene(ALPHA, area=wide))
+    first = replace(up.legs[0], end_m=np.array([0.0, 0.0, 250.0]))
+    alpha = replace(up, legs=(first,), ending_seq=2, return_height_m=300.0, start_delay_s=260.0)
+    begin = replace(first, end_m=np.array([-300.0, 0.0, 400.0]))
+    legs = (begin, leg(200, 0, 400), leg(200, 60, 400, seq=4), leg(-150, 0, 400, seq=5))
+    home_m = np.array([-300.0, 0.0, 100.0])
+    other = replace(up, name="bravo", home_m=home_m, legs=legs, ending_seq=6, return_height_m=60.0)
+    assert not found(proof.prove(there, [alpha, other]), "return", "alpha - bravo").proven
 
 
 def test_who_starts_when_and_who_does_not_fly_is_stated() -> None:
