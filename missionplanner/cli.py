@@ -355,8 +355,11 @@ def _transfer(link: FleetLink, scene: Scene, fleet_plan: FleetPlan, *, unproven:
         link.upload(_transfer_bars(progress, "uploading"))
         link.verify(_transfer_bars(progress, "verifying"))
         certificate = certify(scene, held_by_vehicles(fleet_plan, link.held), arrival_s=fleet_plan.arrival_s)
-        if not certificate.proven and not unproven:
-            raise InfeasibleError(f"what the vehicles hold is not proven: {certificate.refusal}; nothing was armed")
+        if not certificate.proven:
+            problem = f"what the vehicles hold is not proven: {certificate.refusal}"
+            if not unproven:
+                raise InfeasibleError(f"{problem}; nothing was armed")
+            _tell_unproven(problem)
         changes = link.set_returns(_transfer_bars(progress, "setting return of"))
     for change in changes:
         told = f"{change.vehicle}: set {change.name} from {change.before:g} to {change.after:g}; it keeps that"
@@ -557,10 +560,14 @@ def _load_proven(folder: Path, *, unproven: bool) -> tuple[Scene, FleetPlan]:
     certificate = certify_folder(scene, fleet_plan, folder / FILES)
     problem = uncertified(folder, certificate)
     if problem is not None and unproven:
-        _stderr.print(f"UNPROVEN: {problem}", style="bold red", soft_wrap=True, highlight=False)
+        _tell_unproven(problem)
     elif problem is not None:
         raise InfeasibleError(f"{folder}: {problem}; nothing was sent")
     return scene, replace(fleet_plan, certificate=certificate)
+
+
+def _tell_unproven(problem: str) -> None:
+    _stderr.print(f"UNPROVEN: {problem}", style="bold red", soft_wrap=True, highlight=False, markup=False)
 
 
 def _check_folder(folder: Path) -> tuple[Certificate, dict[str, Path]]:
