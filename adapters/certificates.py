@@ -137,6 +137,8 @@ def read_files(question: Mission, folder: Path, paths: Sequence[Path]) -> tuple[
             home_m = _task(scene, vehicle.name).home_m
         return_height_m = _task(scene, vehicle.name).motion.return_height_m
         notes, rally = mission_file_notes(path), mission_file_rally_points(path)
+        if path.stem != vehicle.name:
+            notes = (f"its mission is taken to be {path.name}", *notes)
         remarks = (f"{path.name}: rally points: {rally}, to which it may return instead of its home",) if rally else ()
         missions.append(
             Held(
