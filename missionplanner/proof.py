@@ -25,7 +25,7 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.motion.spline import spline_chords
 from missionplanner.plan import Clearance, FleetPlan, Trajectory, VehiclePlan
 from missionplanner.returns import Returning
-from missionplanner.scene import Scene, VehicleTask
+from missionplanner.scene import RUNWAY_RISE_M, Scene, VehicleTask
 from missionplanner.sortie import Gap, Leg, Sortie
 from missionplanner.terrain_bounds import steepest
 
@@ -236,6 +236,7 @@ def _vehicle(scene: Scene, flight: Flight) -> tuple[list[Finding], list[LegVerdi
         _understood(flight),
         *_heights(flight, tubes, owner, table, asked, pieces, wide),
         *_distances(scene, flight, tubes, owner, table),
+        *_takeoff(flight, tubes[0], table.height_min_m[owner == 0]),
         _angles(flight),
         _turns(flight),
         _speeds(flight),
@@ -476,6 +477,39 @@ def _distance(check: Check, to: str, flight: Flight, distance_m: float, tube: _T
         seq=tube.leg.seq,
         position_m=_position(at_m),
     )
+
+
+def _takeoff(flight: Flight, tube: _Tube, height_min_m: FloatArray) -> list[Finding]:
+    """Return whether the ground falls behind while a plane climbs: its share of the climb, its share of the margin.
+
+    A copter climbs straight up from ground that one can land on.
+    """
+    sortie, limits = flight.sortie, flight.task.limits
+    if sortie.vehicle_class != "plane":
+        return []
+    climbed_m = tube.pieces[:, :, 2].max(axis=1) - sortie.home_m[2]
+    share = np.clip(climbed_m / max(float(sortie.legs[0].end_m[2] - sortie.home_m[2]), _LEVEL_M), 0.0, 1.0)
+    need_m = share * (limits.terrain_margin_m + limits.tube_m) - limits.tube_m - RUNWAY_RISE_M
+    worst = int(np.argmin(height_min_m - need_m))
+    lacks_m = float(need_m[worst] - height_min_m[worst])
+    proven = lacks_m <= 0.0
+    return [
+        Finding(
+            "takeoff",
+            sortie.name,
+            proven,
+            "the ground falls behind while it climbs"
+            if proven
+            else f"its climb lacks {lacks_m:.1f} m of height above the ground"
+            if math.isfinite(lacks_m)
+            else "the ground below its climb is not known",
+            "" if proven else "take off in another direction, or from elsewhere",
+            float(height_min_m[worst]),
+            float(need_m[worst]),
+            seq=tube.leg.seq,
+            position_m=_position(tube.pieces[worst, 0]),
+        )
+    ]
 
 
 def _angles(flight: Flight) -> Finding:

@@ -42,12 +42,14 @@ from missionplanner.vehicle import (
 TERRAIN_NAME = "terrain.tif"
 """The terrain file of a mission made portable by :func:`portable_mission`."""
 
+RUNWAY_RISE_M = 1.0
+"""How much higher than its home the ground may be that a plane rolls along."""
+
 _REACH_M = 100_000.0  # of the local frame; further away, a place is more likely a slip than meant
 _AREA_ROOM_M, _AREA_ROOM_SHARE = 300.0, 0.2
 _TAKEOFF_ROOM_M = 10.0
 _SAME_PLACE_M = 1.0
 _TOLERANCE_M = 1e-6
-_RUNWAY_RISE_M = 1.0
 _STEP_M = 1.0  # between samples of the terrain
 
 
@@ -531,7 +533,7 @@ class _Builder:
         missing = share * margins.height_agl_min_m - (
             points[:, 2] - self._terrain.height_amsl_m(points[:, 0], points[:, 1])
         )
-        if not missing.max() <= _RUNWAY_RISE_M:
+        if not missing.max() <= RUNWAY_RISE_M:
             raise MissionError(
                 f"{what}: expected the ground to fall behind, got {np.nanmax(missing):.1f} m too little height along "
                 "the climb: move home, or lower takeoff_height_m"

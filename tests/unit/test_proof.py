@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,11 +18,12 @@ from missionplanner.certificate import Certificate, Finding
 from missionplanner.clearance import distance_to_legs_m, polyline_legs, tube_clearances
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
+from missionplanner.mission import Mission
 from missionplanner.motion.spline import spline_bezier
 from missionplanner.path_search import PlannedPath
 from missionplanner.plan import FleetPlan
 from missionplanner.planner import Schedule, assemble, returning_at
-from missionplanner.scene import Scene
+from missionplanner.scene import Scene, build_check_scene
 from missionplanner.sortie import Gap, Leg, Sortie
 from missionplanner.terrain_bounds import pyramid
 from tests.scenes import at, copter, question, scene_of
@@ -678,6 +680,24 @@ def test_circles_of_planes_on_their_way_are_not_proven() -> None:
     flown = Sortie("wing", 1, "ardupilot", "plane", np.array([0.0, 0.0, 100.0]), legs, "loiter", 5, 0.0, 100.0)
     finding = found(proof.prove(there, [flown]), "understood", "wing")
     assert (finding.holds, finding.seq) == (False, 4)
+
+
+@pytest.mark.parametrize(("x_m", "clear"), [(600, False), (-600, True)])
+def test_a_plane_climbs_over_nothing_that_it_cannot(x_m: float, clear: bool) -> None:
+    # it passes 600 m at about 220 m; a hill there is 240 m high
+    hill = {"kind": "peaks", "base_alt_amsl_m": 100, "peaks": [{**at(x_m, 0), "height_m": 140, "spread_m": 80}]}
+    wing = {"name": "wing", "class": "plane", "home": at(0, 0), "goal": at(2600, 0, amsl=300)}
+    area = {"south_west": at(-900, -900), "north_east": at(4000, 900)}
+    asked = Mission.model_validate(question(wing, area=area, terrain=hill, fleet={"direct_return": "waived"}))
+    there = build_check_scene(asked, Path(), [])
+    legs = (leg(1800, 0, 300, seq=1, kind="takeoff"), leg(2600, 0, 300, speed_m_s=18.0))
+    flown = Sortie("wing", 1, "ardupilot", "plane", np.array([0.0, 0.0, 100.0]), legs, "loiter", 3, 0.0, 100.0)
+    certificate = proof.prove(there, [flown])
+    assert found(certificate, "takeoff", "wing").proven is certificate.proven is clear
+    trajectory = proof.predict(there, [flown])[0].trajectory
+    climb_m = trajectory.position_m[trajectory.position_m[:, 0] > 200.0]
+    through_m = climb_m[:, 2] - there.terrain.height_amsl_m(climb_m[:, 0], climb_m[:, 1])
+    assert (through_m.min() > 0.0) is clear
 
 
 @pytest.mark.parametrize("what", ["item 3", "home", "start delay and return height"])
