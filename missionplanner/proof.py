@@ -100,11 +100,14 @@ def predict(scene: Scene, sorties: Sequence[Sortie]) -> list[Flight]:
 
 
 def _check_finite(sortie: Sortie) -> None:
-    told = {f"item {leg.seq}": [*leg.end_m, leg.speed_m_s, leg.hold_s, leg.radius_m] for leg in sortie.legs}
-    told |= {"home": sortie.home_m, "start delay and return height": [sortie.start_delay_s, sortie.return_height_m]}
-    for what, numbers in told.items():
+    told = [(f"item {leg.seq}", [*leg.end_m.tolist(), leg.speed_m_s, leg.hold_s, leg.radius_m]) for leg in sortie.legs]
+    told += [
+        ("home", sortie.home_m.tolist()),
+        ("start delay and return height", [sortie.start_delay_s, sortie.return_height_m]),
+    ]
+    for what, numbers in told:
         if not np.isfinite(numbers).all():
-            raise MissionError(f"{sortie.name}: {what}: expected finite numbers, got {np.asarray(numbers).tolist()}")
+            raise MissionError(f"{sortie.name}: {what}: expected finite numbers, got {numbers}")
 
 
 def prove_flights(
