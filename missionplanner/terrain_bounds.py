@@ -265,7 +265,8 @@ def _fine_bound(
         drop = min(drop, change)
     drop -= 2.0 * (window[6] * gr + window[7] * gc)
     middle: float = sign * (z - kernels.terrain_height(t, x, y))
-    return max(bound, middle + drop - lost)
+    least: float = max(bound, middle + drop - lost)
+    return least
 
 
 @kernel
