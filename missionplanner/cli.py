@@ -334,7 +334,9 @@ def _ground_station(
         log = stack.enter_context(FleetLog(folder / LOGS, names, time.time() - clock.now_s()))
         if unproven:
             log.note(clock.now_s(), "UNPROVEN mission sent by order of the operator")
-        link = FleetLink(fleet_plan, endpoints, clock, log=log)
+        # who stands further off than its tube is wide does not climb where that was proven
+        home_tolerance_m = min(task.limits.tube_m for task in scene.tasks)
+        link = FleetLink(fleet_plan, endpoints, clock, log=log, home_tolerance_m=home_tolerance_m)
         with _stderr.status("looking for the vehicles"):
             link.connect()
         yield link
