@@ -18,7 +18,7 @@ from missionplanner.plan import Clearance, FleetFlight, FleetPlan, Trajectory
 from missionplanner.scene import Scene
 
 TERRAIN_STEP_M = 0.1
-_COLUMN_M = 2.5
+COLUMN_M = 2.5
 """Horizontal distance from the pad within which a path counts as a vertical take-off or landing.
 
 PX4 begins to sink as soon as it is within the goal's radius, 2 m by default, and drifts to its middle meanwhile.
@@ -44,7 +44,7 @@ def check_flight(scene: Scene, plan: FleetPlan, flight: FleetFlight) -> FlightCh
     found: list[tuple[Clearance, ...]] = []
     for task, vehicle, flown in zip(scene.tasks, plan.vehicles, flight.vehicles, strict=True):
         margins = Margins.of(replace(task.limits, tracking_error_m=0.0, position_error_m=0.0, deviation_m=0.0))
-        drift_m = _COLUMN_M + 2.0 * task.limits.tracking_error_m  # a real climb or descent is not plumb
+        drift_m = COLUMN_M + 2.0 * task.limits.tracking_error_m  # a real climb or descent is not plumb
         position, top = flown.trajectory.position_m, vehicle.waypoints_m[0]
         high = position[:, 2] >= top[2] - task.limits.tracking_error_m
         column_m = np.hypot(*(top - vehicle.home_m)[:2]) + drift_m
@@ -78,7 +78,7 @@ def nearest_pair(
     return min(pairs, key=lambda c: c.distance_m - c.required_m, default=None)
 
 
-def airborne_part(trajectory: Trajectory, airborne_s: float, column_m: float = _COLUMN_M) -> Trajectory:
+def airborne_part(trajectory: Trajectory, airborne_s: float, column_m: float = COLUMN_M) -> Trajectory:
     """Return the part between the top of the take-off and the descent at the end, within ``column_m`` of its pad."""
     position = trajectory.position_m
     away = np.hypot(*(position[:, :2] - position[-1, :2]).T) > column_m

@@ -20,7 +20,7 @@ from missionplanner import __version__, energy, returns, timing
 from missionplanner.certificate import Certificate, Check, Finding, LegVerdict, Position
 from missionplanner.clearance import TubeClearances, distance_to_legs_m, polyline_legs, tube_clearances
 from missionplanner.errors import MissionError
-from missionplanner.flight_check import nearest_pair
+from missionplanner.flight_check import COLUMN_M, nearest_pair
 from missionplanner.geodesy import FloatArray
 from missionplanner.motion.spline import spline_chords
 from missionplanner.plan import Clearance, FleetPlan, Trajectory, VehiclePlan
@@ -61,9 +61,10 @@ class Flight:
             return float(self.reached_s[-1])
         if self.sortie.ending == "loiter" or self.sortie.vehicle_class == "plane":
             return float(self.trajectory.t_s[-1])
-        home = self.trajectory.t_s >= self.reached_s[-1]
-        alt_m = np.where(home, self.trajectory.position_m[:, 2], -np.inf)
-        return float(self.trajectory.t_s[np.flatnonzero(alt_m >= alt_m.max() - _LEVEL_M)[-1]])
+        position_m = self.trajectory.position_m
+        away = np.flatnonzero(np.hypot(*(position_m[:, :2] - position_m[-1, :2]).T) > COLUMN_M)
+        above_home = min(int(away[-1]) + 1, len(position_m) - 1) if away.size else 0
+        return max(float(self.reached_s[-1]), float(self.trajectory.t_s[above_home]))
 
 
 def prove(

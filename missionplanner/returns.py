@@ -214,7 +214,9 @@ def _track(v: Returning, ticks: int) -> _Track:
         if v.descends_s < end_s:
             state[t > end_s] = _LANDED
         # as it is predicted: what is snapped to its home or landing place jumps there
-        stop, swing, drop, rise, lift = _stopping(v.motion, v.trajectory.at(t))
+        flown = v.trajectory.at(t)
+        stop, swing, drop, rise, lift = _stopping(v.motion, flown)
+        swing = swing + np.hypot(*(flown[:, :2] - p[:, :2]).T)
         low, high = p[:, 2] - drop, p[:, 2] + rise
     floor = np.where(before | after, math.inf, low)
     return _Track(
