@@ -276,8 +276,10 @@ def _tubes(scene: Scene, flight: Flight) -> list[_Tube]:
     last = replace(sortie.legs[-1], seq=sortie.ending_seq)
     match sortie.ending:
         case "land":
-            ground = np.array([*sortie.legs[-1].end_m[:2], flight.trajectory.position_m[-1, 2]])
-            tubes.append(_Tube(last, "land", _columns(begins, ground[2]), wider_m, over_terrain=False))
+            x, y, _ = sortie.legs[-1].end_m
+            # as predicted it ends a few centimetres above the ground
+            bottom_m = np.fmin(flight.trajectory.position_m[-1, 2], scene.terrain.height_amsl_m(x, y))
+            tubes.append(_Tube(last, "land", _columns(begins, float(bottom_m)), wider_m, over_terrain=False))
         case "rtl":
             motion = replace(flight.task.motion, return_height_m=sortie.return_height_m)
             level_m = motion.return_alt_amsl_m(float(begins[0, 2]), float(sortie.home_m[2]))
