@@ -237,7 +237,7 @@ def try_fleet(seed: int, number: int, mission_path: Path | None) -> Tally:
     tally.made["vehicles"] += len(read)
     tally.made["proven fleets"] += certificate.proven
     for finding in certificate.findings:
-        tally.made[f"{'proven' if finding.proven else 'unproven'}: {finding.check}"] += 1
+        tally.made[f"{'holds' if finding.holds else 'fails'}: {finding.check}"] += 1
     unit = oracle.strays(rng)
     _judge_chosen(tally, certificate, chosen, where)
     for flight, one in zip(flights, told, strict=True):

@@ -132,7 +132,10 @@ def random_world(rng: np.random.Generator, land: Land, *, roomy: bool = False) -
     solid_count, fenced, wide = (int(rng.integers(0, 3)), 0.5, 1.8) if roomy else (int(rng.integers(0, 6)), 0.7, 1.0)
     middle = np.array([rng.uniform(west + half, east - half), rng.uniform(south + half, north - half)])
     ground_m = float(land.ground.at(middle[np.newaxis])[0])
-    solids = tuple(_solid(rng, land, middle, half, k) for k in range(solid_count))
+    if rng.random() < 0.15:  # nothing but prisms with notches
+        solids: tuple[Solid, ...] = tuple(_notched(rng, middle, half, k) for k in range(6))
+    else:
+        solids = tuple(_solid(rng, land, middle, half, k) for k in range(solid_count))
     fence, top = np.zeros((0, 2)), math.inf
     if rng.random() < fenced and land.calm:
         fence = _star(rng, middle, 0.8 * wide * half, 1.6 * wide * half)
@@ -150,6 +153,12 @@ def _star(rng: np.random.Generator, middle: FloatArray, least: float, most: floa
     reach = rng.uniform(least, most, count)
     outline: FloatArray = middle + reach[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
     return outline[::-1].copy() if rng.random() < 0.5 else outline
+
+
+def _notched(rng: np.random.Generator, middle: FloatArray, half: float, number: int) -> Solid:
+    """Return a prism as high as one likes, of which a line may come near twice."""
+    outline = _star(rng, middle + rng.uniform(-half, half, 2), 5.0, 0.5 * half)
+    return PrismSolid(f"solid-{number}", outline)
 
 
 def _solid(rng: np.random.Generator, land: Land, middle: FloatArray, half: float, number: int) -> Solid:
