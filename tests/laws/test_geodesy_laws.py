@@ -25,7 +25,8 @@ def test_there_and_back_is_the_same_place(origin: tuple[float, float], x: float,
 def test_distance_from_the_origin_is_the_geodesic(origin: tuple[float, float], azimuth: float, distance: float) -> None:
     lon, lat, _ = ELLIPSOID.fwd(origin[1], origin[0], azimuth, distance)
     x, y, _ = LocalFrame(*origin).to_local(lat, lon, 0.0)
-    assert abs(np.hypot(x, y) / distance - 1) < 2e-6
+    # and a millimetre: PROJ is 0.6 mm off where the origin is nearly, but not quite, on the equator
+    assert abs(np.hypot(x, y) - distance) < 2e-6 * distance + 1e-3
 
 
 @given(ORIGINS, st.floats(-20_000, 20_000), st.floats(-20_000, 20_000), st.floats(0, 2 * np.pi))
