@@ -297,8 +297,11 @@ def _home(
     if home is None:
         raise MissionError(
             f"{name}: missing home: "
-            + ("PX4's missions have none" if autopilot == "px4" else "item 0 gives no position AMSL")
-            + ": give the vehicle's home in the mission file"
+            + (
+                "PX4's missions have none: give the vehicle's home in the mission file"
+                if autopilot == "px4"
+                else "item 0 gives no position AMSL: give the vehicle's home there (plannedHomePosition of a .plan)"
+            )
         )
     if not np.isfinite(home).all():
         raise MissionError(f"{name}: expected a home of finite numbers, got {home.tolist()}")
