@@ -48,6 +48,7 @@ class MotionModel:
     waypoint_radius_m: float
     turn_radius_m: float
     return_height_m: float = 15.0  # above home, RTL; a copter that is higher stays so high
+    wind_m_s: tuple[float, float] = (0.0, 0.0)  # steady velocity of the air: east, north
     # planes only
     cruise_speed_m_s: float = 22.0  # while no mission says otherwise: on take-off and on the way home
     loiter_radius_m: float = 60.0

@@ -18,6 +18,7 @@ from missionplanner.motion.state import (
     THRUST,
     VELOCITY,
     VELOCITY_GAIN,
+    WIND,
     FloatArray,
     kernel,
 )
@@ -30,7 +31,7 @@ def follow_target(s: FloatArray, h: float) -> None:
     """Move the vehicle by ``h`` seconds: horizontally after its target, vertically with it.
 
     P on the position, PI on the velocity, feed-forward of the target's velocity and acceleration; the sum is what the
-    vehicle leans for, up to its lean limit, against a drag that grows with its speed.
+    vehicle leans for, up to its lean limit, against a drag that grows with its speed through the air.
     """
     wish_x = _wish(s, 0)
     wish_y = _wish(s, 1)
@@ -39,7 +40,7 @@ def follow_target(s: FloatArray, h: float) -> None:
     if limited:
         wish_x *= s[LEAN] / total
         wish_y *= s[LEAN] / total
-    speed = math.hypot(s[VELOCITY], s[VELOCITY + 1])
+    speed = math.hypot(s[VELOCITY] - s[WIND], s[VELOCITY + 1] - s[WIND + 1])
     drag = s[DRAG] + s[DRAG_SQUARED] * speed
     share = min(1.0, h / _LEAN_TIME_S)
     for axis in range(2):
@@ -48,7 +49,7 @@ def follow_target(s: FloatArray, h: float) -> None:
             s[INTEGRAL + axis] += s[INTEGRAL_GAIN] * error * h
         s[THRUST + axis] += ((wish_x if axis == 0 else wish_y) - s[THRUST + axis]) * share
         before = s[VELOCITY + axis]
-        s[VELOCITY + axis] += (s[THRUST + axis] - drag * before) * h
+        s[VELOCITY + axis] += (s[THRUST + axis] - drag * (before - s[WIND + axis])) * h
         s[POSITION + axis] += 0.5 * (before + s[VELOCITY + axis]) * h
     s[VELOCITY + 2] = s[TARGET_VELOCITY + 2]
     s[POSITION + 2] = s[TARGET + 2]

@@ -49,8 +49,9 @@ ELAPSED, HOLD_LEFT, BRAKED, PACE, TURN_SPEED = 24, 25, 26, 27, 28  # clocks; sha
 ACCELERATION, JERK, SNAP, VERTICAL_ACCELERATION, CLIMB, DESCENT, RADIUS, TURN_RADIUS = range(29, 37)
 POSITION_GAIN, VELOCITY_GAIN, INTEGRAL_GAIN, LEAN, DRAG, DRAG_SQUARED, LOITER_RADIUS = range(37, 44)
 NEW_SPEED = 44  # told by set_speed and not yet taken up; else NaN
+WIND = 45  # two: velocity of the air, east and north
 # ... then ArduCopter's three S-curve legs (flown before, now, next), LEG columns each.
-LEGS = 45
+LEGS = 47
 
 # Columns of a leg: unit vector, length, time flown, greatest speed and acceleration along it; then its segments.
 UX, LENGTH, TIME, TOP, ACC, SEGMENT_0 = 0, 3, 4, 5, 6, 7
@@ -82,6 +83,7 @@ def initial(model: MotionModel, position_m: npt.ArrayLike) -> tuple[FloatArray, 
     row[RADIUS] = model.waypoint_radius_m
     row[TURN_RADIUS] = model.turn_radius_m
     row[LOITER_RADIUS] = model.loiter_radius_m
+    row[WIND : WIND + 2] = model.wind_m_s
     if model.vehicle_class == "plane":
         number[NAVIGATOR] = PLANE
         row[VERTICAL_ACCELERATION] = 3.0  # TECS_VERT_ACC is 7; kept gentle as pitch limits do
@@ -98,4 +100,7 @@ def initial(model: MotionModel, position_m: npt.ArrayLike) -> tuple[FloatArray, 
         row[POSITION_GAIN], row[VELOCITY_GAIN], row[INTEGRAL_GAIN] = 0.95, 1.8, 0.4  # MPC_XY_P, MPC_XY_VEL_*_ACC
         row[LEAN] = _GRAVITY_M_S2 * math.tan(math.radians(45.0))  # MPC_TILTMAX_AIR
         row[DRAG] = 1.0  # SIH_KDV / SIH_MASS
+    if model.vehicle_class == "copter":  # it leans into the wind as soon as it has lifted off
+        trim = -(row[DRAG] + row[DRAG_SQUARED] * math.hypot(*model.wind_m_s)) * row[WIND : WIND + 2]
+        row[THRUST : THRUST + 2] = row[INTEGRAL : INTEGRAL + 2] = trim
     return row, number
