@@ -16,8 +16,10 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, Strict, ValidationError, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
+from missionplanner.autopilot_parameters import ParameterError, fields, find, same, shown
 from missionplanner.document import Document, Location, parse_document
 from missionplanner.errors import MissionError
+from missionplanner.parameter_files import read_parameters
 
 # Strict: a truth value or a text is not a number
 Number = Annotated[float, Strict()]
@@ -323,8 +325,47 @@ class VehicleSettings(Model):
         None, description="at the goal: land there (copters), return home, or stay; default: copter land, plane loiter"
     )
     motion: Motion = Motion()
+    parameters: dict[str, Number] = Field(
+        {},
+        description="the autopilot's own, in its own units, where the vehicle does not hold the defaults: e.g. "
+        "WPNAV_SPEED: 800 (cm/s), NAV_ACC_RAD: 5 (m); what motion, climb, descent and return_height_m say must not "
+        "contradict them",
+    )
+    parameter_file: Path | None = Field(
+        None,
+        description="the vehicle's parameters as saved by Mission Planner (.param), MAVProxy (.parm), QGroundControl "
+        "(.params) or the command parameters; relative to the mission file; those in parameters go before it",
+    )
 
     model_config = ConfigDict(populate_by_name=True)
+
+    def asked_motion(self) -> dict[str, float]:
+        """Return what the mission file says of the motion model, by the model's fields: as such, or as parameters.
+
+        Raises
+        ------
+        ParameterError
+            An unknown parameter, one out of range, or one that contradicts something else.
+        """
+        said = {
+            "acceleration_m_s2": ("motion.acceleration_m_s2", self.motion.acceleration_m_s2),
+            "jerk_m_s3": ("motion.jerk_m_s3", self.motion.jerk_m_s3),
+            "climb_rate_m_s": ("climb.rate_m_s", self.climb.rate_m_s),
+            "descent_rate_m_s": ("descent.rate_m_s", self.descent.rate_m_s),
+            "waypoint_radius_m": ("motion.waypoint_radius_m", self.motion.waypoint_radius_m),
+            "cruise_speed_m_s": ("motion.cruise_speed_m_s", self.motion.cruise_speed_m_s),
+            "loiter_radius_m": ("motion.loiter_radius_m", self.motion.loiter_radius_m),
+            "return_height_m": ("return_height_m", self.return_height_m),
+        }
+        asked = {field: value for field, (_, value) in said.items() if value is not None}
+        for field, (name, value) in fields((self.autopilot, self.vehicle_class), self.parameters).items():
+            if not same(asked.setdefault(field, value), value):
+                raise ParameterError(
+                    name,
+                    f"{name} {shown(self.parameters[name])} contradicts {said[field][0]} {asked[field]:g}: "
+                    "leave one of them out",
+                )
+        return asked
 
 
 class Vehicle(VehicleSettings):
@@ -417,7 +458,7 @@ class Mission(Model):
         if not isinstance(defaults, dict) or not isinstance(vehicles, list | tuple):
             return data
         merged = [_over(defaults, own) if isinstance(own := _plain(v), dict) else own for v in vehicles]
-        return {**data, "vehicles": merged}
+        return {**data, "vehicles": _with_own_parameters(merged, vehicles)}
 
     @model_validator(mode="after")
     def _names_are_unique(self) -> Mission:
@@ -426,6 +467,15 @@ class Mission(Model):
         solids: dict[Location, str] = {("obstacles", i): o.name for i, o in enumerate(self.obstacles)}
         _expect_unique("name", solids | {("inspection", "towers", i): t.name for i, t in enumerate(towers)})
         _expect_unique("sysid", {("vehicles", i): v.sysid or i + 1 for i, v in enumerate(self.vehicles)})
+        return self
+
+    @model_validator(mode="after")
+    def _parameters_are_known(self) -> Mission:
+        for i, vehicle in enumerate(self.vehicles):
+            try:
+                vehicle.asked_motion()
+            except ParameterError as error:
+                raise _error_at(("vehicles", i, "parameters", error.name), str(error)) from error
         return self
 
     @model_validator(mode="after")
@@ -499,6 +549,47 @@ def parse_mission(text: str, source: str) -> Mission:
     raise MissionError(f"{source}:{line}: {first}{more}")
 
 
+def with_parameter_files(mission: Mission, folder: Path) -> Mission:
+    """Return a mission that needs no parameter files: what the motion model knows of them is in ``parameters``.
+
+    Names of files are relative to ``folder``. A return height is not taken from a file: a plan sets it on the vehicle.
+
+    Raises
+    ------
+    MissionError
+        A file that cannot be read, is another autopilot's, holds a value out of range or contradicts the mission.
+    """
+    vehicles = [v if v.parameter_file is None else _with_parameter_file(v, folder) for v in mission.vehicles]
+    if all(new is old for new, old in zip(vehicles, mission.vehicles, strict=True)):
+        return mission
+    return mission.model_copy(update={"vehicles": tuple(vehicles)})
+
+
+def _with_parameter_file(vehicle: Vehicle, folder: Path) -> Vehicle:
+    assert vehicle.parameter_file is not None
+    path = folder / vehicle.parameter_file
+    kind = (vehicle.autopilot, vehicle.vehicle_class)
+    read = read_parameters(path)
+    typed = fields(kind, vehicle.parameters)
+    taken: dict[str, float] = {}
+    for name, entry in read.items():
+        found = find(kind, name)
+        if found is not None and not found[0].sent and found[0].field not in typed:
+            taken[name] = entry.value
+    if not taken and not typed:
+        raise MissionError(
+            f"{path}: expected parameters of {vehicle.name} ({' '.join(kind)}), got none that the motion model knows: "
+            "is it another autopilot's file?"
+        )
+    resolved = vehicle.model_copy(update={"parameters": taken | vehicle.parameters, "parameter_file": None})
+    try:
+        resolved.asked_motion()
+    except ParameterError as error:
+        line = f":{read[error.name].line}" if error.name in read else ""
+        raise MissionError(f"{path}{line}: {vehicle.name}: {error}") from error
+    return resolved
+
+
 def mission_schema() -> dict[str, Any]:
     """Return the JSON Schema (draft 2020-12) of the mission file."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **Mission.model_json_schema()}
@@ -518,6 +609,29 @@ def _over(defaults: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:
         if isinstance(defaults[key], dict) and isinstance(own[key], dict):
             merged[key] = _over(defaults[key], own[key])
     return merged
+
+
+def _with_own_parameters(vehicles: list[Any], written: Sequence[Any]) -> list[Any]:
+    """Return vehicles without those shared parameters that only their fellows' autopilots know."""
+    kinds = [_kind(vehicle) for vehicle in vehicles if isinstance(vehicle, dict)]
+    kept: list[Any] = []
+    for vehicle, own in zip(vehicles, written, strict=True):
+        parameters = vehicle.get("parameters") if isinstance(vehicle, dict) else None
+        if isinstance(parameters, dict):
+            typed = _plain(own).get("parameters") or ()
+            fellows = {
+                name
+                for name in parameters
+                if name not in typed and not find(_kind(vehicle), name) and any(find(kind, name) for kind in kinds)
+            }
+            kept.append({**vehicle, "parameters": {k: v for k, v in parameters.items() if k not in fellows}})
+        else:
+            kept.append(vehicle)
+    return kept
+
+
+def _kind(vehicle: dict[str, Any]) -> Any:
+    return vehicle.get("autopilot", "ardupilot"), vehicle.get("class", vehicle.get("vehicle_class", "copter"))
 
 
 # --- mistakes: from what pydantic found to one line with its place in the file -------------------------------------

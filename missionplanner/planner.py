@@ -246,7 +246,7 @@ def return_heights_m(scene: Scene, flights: Sequence[proof.Flight]) -> dict[str,
             for v, flight in zip(vehicles, flights, strict=True)
             if flight.sortie.ending == "rtl"
         ]
-    settings = {vehicle.name: vehicle.return_height_m for vehicle in scene.mission.vehicles}
+    settings = {vehicle.name: vehicle.asked_motion().get("return_height_m") for vehicle in scene.mission.vehicles}
     tasks = {task.name: task for task in scene.tasks}
 
     def apart_m(i: int, j: int) -> float:

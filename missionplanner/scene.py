@@ -160,7 +160,7 @@ class _Builder:
     """Resolves one mission, part by part: each step uses what those before it left."""
 
     def __init__(self, question: Mission, folder: Path, also_deg: Sequence[tuple[float, float]] = ()) -> None:
-        self._mission = question
+        self._mission = question = mission.with_parameter_files(question, folder)
         self._frame = LocalFrame(question.origin.lat_deg, question.origin.lon_deg)
         self._also = [
             self._xy(mission.Place(lat_deg=lat_deg, lon_deg=lon_deg), f"{lat_deg:.5f}, {lon_deg:.5f}")

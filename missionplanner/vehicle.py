@@ -1,16 +1,13 @@
-"""A vehicle's limits and its navigator's parameters, with the autopilots' own defaults.
-
-Defaults: ArduCopter WPNAV_* and ArduPlane 4.5 (https://ardupilot.org/copter/docs/parameters.html), PX4 1.15 MPC_*
-(https://docs.px4.io/main/en/advanced_config/parameter_reference.html).
-"""
+"""A vehicle's limits and its navigator's parameters; their defaults are :mod:`.autopilot_parameters`'."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal
 
-from missionplanner.mission import Motion, VehicleSettings
+from missionplanner.autopilot_parameters import defaults
+from missionplanner.mission import VehicleSettings
 
 Autopilot = Literal["ardupilot", "px4"]
 VehicleClass = Literal["copter", "plane"]
@@ -21,14 +18,6 @@ TAKEOFF_ACCELERATION_M_S2 = 5.0
 LIFT_OFF_SHARE = 0.8
 """A plane rolls at full throttle up to this share of its cruise speed, then climbs (ArduPlane 4.5 in SITL)."""
 _PULL_UP_S = 0.5  # what is lost until it climbs at its greatest rate
-
-_RETURN_HEIGHT_M = {
-    ("ardupilot", "copter"): 15.0,  # RTL_ALT
-    ("px4", "copter"): 60.0,  # RTL_RETURN_ALT
-    ("ardupilot", "plane"): 100.0,  # RTL_ALTITUDE
-    ("px4", "plane"): 100.0,  # RTL_DESCEND_ALT of its planes
-}
-
 
 def true_airspeed(alt_amsl_m: float) -> float:
     """Return true over indicated airspeed (the one that is commanded) in the standard atmosphere; 1 at sea level."""
@@ -112,55 +101,31 @@ def deviation_m(model: MotionModel) -> float:
     return _CORNER_SHARE[model.autopilot] * model.waypoint_radius_m
 
 
-_MOTION_DEFAULTS: dict[tuple[Autopilot, VehicleClass], tuple[float, float, float]] = {
-    # acceleration m/s^2, jerk m/s^3, waypoint radius m
-    ("ardupilot", "copter"): (2.5, 1.0, 2.0),
-    ("px4", "copter"): (3.0, 4.0, 2.0),  # multicopter airframes set NAV_ACC_RAD to 2
-    ("ardupilot", "plane"): (1.5, 1.0, 50.0),
-    ("px4", "plane"): (1.5, 1.0, 50.0),
-}
-_PLANE_DEFAULTS: dict[Autopilot, tuple[float, float]] = {
-    # cruise speed m/s, loiter radius m
-    "ardupilot": (22.0, 60.0),
-    "px4": (15.0, 80.0),
-}
+# what no parameter says of a plane: how it changes its speed
+_PLANE_ASSUMED = {"acceleration_m_s2": 1.5, "jerk_m_s3": 1.0}
 _SPEED_DEFAULTS: dict[tuple[Autopilot, VehicleClass], tuple[float, float]] = {
     ("ardupilot", "copter"): (3.0, 10.0),
     ("px4", "copter"): (3.0, 10.0),
     ("ardupilot", "plane"): (14.0, 22.0),
     ("px4", "plane"): (14.0, 20.0),  # FW_AIRSPD_MAX
 }
-_CLIMB_RATE_M_S: dict[tuple[Autopilot, VehicleClass], float] = {
-    ("ardupilot", "copter"): 2.5,
-    ("px4", "copter"): 3.0,
-    ("ardupilot", "plane"): 5.0,
-    ("px4", "plane"): 5.0,
-}
-_DESCENT_RATE_M_S: dict[VehicleClass, float] = {"copter": 1.5, "plane": 5.0}
 _PATH_ANGLE_DEG: dict[VehicleClass, float] = {"copter": 60.0, "plane": 12.0}
 _TURN_RADIUS_M: dict[VehicleClass, float] = {"copter": 0.0, "plane": 60.0}
 
 
 def motion_model(settings: VehicleSettings) -> MotionModel:
     """Return the navigator's parameters: the mission file's, else the autopilot's defaults."""
-    key = (settings.autopilot, settings.vehicle_class)
-    acceleration, jerk, radius = _MOTION_DEFAULTS[key]
-    cruise, loiter = _PLANE_DEFAULTS[settings.autopilot]
-    motion: Motion = settings.motion
+    assert settings.parameter_file is None, "with_parameter_files first"
+    values: dict[str, Any] = _PLANE_ASSUMED if settings.vehicle_class == "plane" else {}
+    values = values | defaults((settings.autopilot, settings.vehicle_class)) | settings.asked_motion()
     turn_radius_m = _or(settings.turn_radius_m, _TURN_RADIUS_M[settings.vehicle_class])
-    return MotionModel(
+    model = MotionModel(
         autopilot=settings.autopilot,
         vehicle_class=settings.vehicle_class,
-        acceleration_m_s2=_or(motion.acceleration_m_s2, acceleration),
-        jerk_m_s3=_or(motion.jerk_m_s3, jerk),
-        climb_rate_m_s=_or(settings.climb.rate_m_s, _CLIMB_RATE_M_S[key]),
-        descent_rate_m_s=_or(settings.descent.rate_m_s, _DESCENT_RATE_M_S[settings.vehicle_class]),
-        waypoint_radius_m=_or(motion.waypoint_radius_m, radius),
         turn_radius_m=turn_radius_m,
-        cruise_speed_m_s=_or(motion.cruise_speed_m_s, cruise),
-        loiter_radius_m=max(_or(motion.loiter_radius_m, loiter), turn_radius_m),
-        return_height_m=_or(settings.return_height_m, _RETURN_HEIGHT_M[key]),
+        **values,
     )
+    return replace(model, loiter_radius_m=max(model.loiter_radius_m, turn_radius_m))
 
 
 def ending(settings: VehicleSettings) -> Ending:

@@ -1,0 +1,255 @@
+"""The autopilots' parameters that decide how a vehicle moves: their names, units and ranges, and what each sets.
+
+One table per autopilot and class. It is the only home of the motion model's defaults too: a vehicle of which nothing
+else is known flies as these say. Ranges are the documented ones, lower ends of speeds relaxed to what vehicles obey.
+Sources: https://ardupilot.org/copter/docs/parameters.html and https://ardupilot.org/plane/docs/parameters.html (4.5;
+older and newer names and units beside them, 4.7's from AP_Param's conversion tables);
+https://docs.px4.io/main/en/advanced_config/parameter_reference.html (1.15, with what rc.mc_defaults changes). Planes'
+are those of the airframes that the autopilots simulate.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+Kind = tuple[Literal["ardupilot", "px4"], Literal["copter", "plane"]]
+
+_ROUNDING = 1e-6  # of a value that was single precision once
+
+
+@dataclass(frozen=True, slots=True)
+class Spelling:
+    """A name that some firmware gives a parameter; so many of its counts (``per_unit``) make one of the model's."""
+
+    name: str
+    per_unit: float = 1.0
+    whole: bool = False  # counts in whole steps
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter, and the field of the motion model that it sets; values are in the field's unit.
+
+    The first spelling is the one of the firmware that we simulate. ``sent`` means that a plan sets it on the vehicle:
+    it is never compared.
+    """
+
+    field: str
+    unit: str
+    default: float
+    low: float
+    high: float
+    spellings: tuple[Spelling, ...]
+    sent: bool = False
+
+    @property
+    def name(self) -> str:
+        """Its name in the firmware that we simulate."""
+        return self.spellings[0].name
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All its names: a vehicle has one of them."""
+        return tuple(spelling.name for spelling in self.spellings)
+
+
+class ParameterError(ValueError):
+    """A parameter's value is none, or contradicts another; ``name`` is the parameter's."""
+
+    def __init__(self, name: str, problem: str) -> None:
+        super().__init__(problem)
+        self.name = name
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A parameter that a vehicle holds otherwise than planned; both in the unit that the vehicle counts in."""
+
+    name: str
+    planned: float
+    held: float
+
+    def __str__(self) -> str:
+        return f"{self.name} is {shown(self.held)}, planned with {shown(self.planned)}"
+
+
+def parameters(kind: Kind) -> tuple[Parameter, ...]:
+    """Return the parameters that the motion model knows of an autopilot and class."""
+    return _TABLES[kind]
+
+
+def defaults(kind: Kind) -> dict[str, float]:
+    """Return what the motion model's fields are by default."""
+    return {parameter.field: parameter.default for parameter in _TABLES[kind]}
+
+
+def find(kind: Kind, name: str) -> tuple[Parameter, Spelling] | None:
+    """Return the parameter of that name and how it is spelt; None: the motion model does not know it."""
+    return _BY_NAME.get(kind, {}).get(name)
+
+
+def suggestion(kind: Kind, name: str) -> str:
+    """Return what to say of a name that is not known."""
+    others = [" ".join(other) for other, names in _BY_NAME.items() if name in names]
+    if others:
+        return f"it is one of {' and '.join(others)}"
+    near = difflib.get_close_matches(name.upper(), _BY_NAME[kind], n=1, cutoff=0.6)
+    return f"did you mean {near[0]}?" if near else f"known are {', '.join(p.name for p in _TABLES[kind])}"
+
+
+def fields(kind: Kind, values: Mapping[str, float]) -> dict[str, tuple[str, float]]:
+    """Return what parameters set: by field, the parameter's name and the value in the field's unit.
+
+    Raises
+    ------
+    ParameterError
+        An unknown name, a value out of range or no whole number where that is asked for, or two spellings of one
+        parameter that contradict each other.
+    """
+    known: dict[str, tuple[str, float]] = {}
+    for name, value in values.items():
+        found = find(kind, name)
+        if found is None:
+            autopilot, vehicle_class = kind
+            raise ParameterError(
+                name,
+                f"expected a parameter that the motion model knows ({autopilot} {vehicle_class}), got {name!r}: "
+                f"{suggestion(kind, name)}",
+            )
+        parameter, spelling = found
+        meant = _meant(parameter, spelling, value)
+        other = known.setdefault(parameter.field, (name, meant))
+        if not same(other[1], meant):
+            raise ParameterError(
+                name, f"{name} {shown(value)} contradicts {other[0]} {shown(values[other[0]])}: leave one of them out"
+            )
+    return known
+
+
+def held(kind: Kind, model: object) -> dict[str, int | float]:
+    """Return the parameters of a motion model, by name and in the autopilot's units, as a vehicle would hold them."""
+    values: dict[str, int | float] = {}
+    for parameter in _TABLES[kind]:
+        spelling = parameter.spellings[0]
+        value = float(np.float32(getattr(model, parameter.field) * spelling.per_unit))
+        values[spelling.name] = round(value) if spelling.whole else value
+    return values
+
+
+def changed(kind: Kind, before: Mapping[str, float], after: Mapping[str, float]) -> dict[str, float]:
+    """Return the fields that a vehicle's parameters have changed since ``before``; values out of range change none."""
+    changes: dict[str, float] = {}
+    for name, value in after.items():
+        found = find(kind, name)
+        if found is not None and before.get(name) != value:
+            meant = value / found[1].per_unit
+            if found[0].low <= meant <= found[0].high:
+                changes[found[0].field] = meant
+    return changes
+
+
+def differences(kind: Kind, model: object, values: Mapping[str, float]) -> tuple[Difference, ...]:
+    """Return where what a vehicle holds makes it move otherwise than a motion model, beyond single precision."""
+    found: list[Difference] = []
+    for parameter in _TABLES[kind]:
+        planned = float(getattr(model, parameter.field))
+        for spelling in parameter.spellings:
+            value = values.get(spelling.name)
+            if value is not None and not parameter.sent and not same(value / spelling.per_unit, planned):
+                found.append(Difference(spelling.name, planned * spelling.per_unit, value))
+    return tuple(found)
+
+
+def missing(kind: Kind, names: Iterable[str]) -> tuple[Parameter, ...]:
+    """Return the parameters that a vehicle holds under none of their names; those that a plan sets do not count."""
+    there = set(names)
+    return tuple(p for p in _TABLES[kind] if not p.sent and not there.intersection(p.names))
+
+
+def same(one: float, other: float) -> bool:
+    """Return whether two values are one, kept in single precision."""
+    return math.isclose(one, other, rel_tol=_ROUNDING, abs_tol=1e-9)
+
+
+def shown(value: float) -> str:
+    """Return a value as a vehicle's single precision has it, in as few digits as tell it."""
+    return str(round(value)) if abs(value) < 1e7 and value == round(value) else str(np.float32(value))
+
+
+def _meant(parameter: Parameter, spelling: Spelling, value: float) -> float:
+    """Return a parameter's value in its field's unit."""
+    meant = value / spelling.per_unit
+    if not parameter.low <= meant <= parameter.high:
+        low, high = (shown(limit * spelling.per_unit) for limit in (parameter.low, parameter.high))
+        raise ParameterError(spelling.name, f"expected {spelling.name} between {low} and {high}, got {shown(value)}")
+    if spelling.whole and value != round(value):
+        raise ParameterError(spelling.name, f"expected a whole number for {spelling.name}, got {shown(value)}")
+    return meant
+
+
+def _cm(name: str, new: str, *, whole: bool = False) -> tuple[Spelling, ...]:
+    """Return the spellings of an ArduCopter parameter that counts in centimetres, and since 4.7 in metres."""
+    return Spelling(name, 100.0, whole), Spelling(new)
+
+
+def _as(*names: str, whole: bool = False) -> tuple[Spelling, ...]:
+    return tuple(Spelling(name, whole=whole) for name in names)
+
+
+_ARDUCOPTER = (
+    Parameter("acceleration_m_s2", "m/s^2", 2.5, 0.5, 10.0, _cm("WPNAV_ACCEL", "WP_ACC")),
+    Parameter("jerk_m_s3", "m/s^3", 1.0, 0.5, 20.0, _as("WPNAV_JERK", "WP_JERK")),
+    Parameter("climb_rate_m_s", "m/s", 2.5, 0.1, 10.0, _cm("WPNAV_SPEED_UP", "WP_SPD_UP")),
+    Parameter("descent_rate_m_s", "m/s", 1.5, 0.1, 5.0, _cm("WPNAV_SPEED_DN", "WP_SPD_DN")),
+    Parameter("waypoint_radius_m", "m", 2.0, 0.05, 10.0, _cm("WPNAV_RADIUS", "WP_RADIUS_M")),
+    Parameter("return_height_m", "m", 15.0, 0.3, 3000.0, _cm("RTL_ALT", "RTL_ALT_M", whole=True), sent=True),
+)
+_PX4_COPTER = (
+    Parameter("acceleration_m_s2", "m/s^2", 3.0, 0.5, 15.0, _as("MPC_ACC_HOR")),
+    Parameter("jerk_m_s3", "m/s^3", 4.0, 1.0, 80.0, _as("MPC_JERK_AUTO")),
+    Parameter("climb_rate_m_s", "m/s", 3.0, 0.3, 8.0, _as("MPC_Z_V_AUTO_UP")),
+    Parameter("descent_rate_m_s", "m/s", 1.5, 0.3, 4.0, _as("MPC_Z_V_AUTO_DN")),
+    Parameter("waypoint_radius_m", "m", 2.0, 0.05, 200.0, _as("NAV_ACC_RAD")),
+    Parameter("return_height_m", "m", 60.0, 0.1, 10_000.0, _as("RTL_RETURN_ALT"), sent=True),
+)
+_ARDUPLANE = (
+    Parameter(
+        "cruise_speed_m_s", "m/s", 22.0, 3.0, 100.0, (Spelling("AIRSPEED_CRUISE"), Spelling("TRIM_ARSPD_CM", 100.0))
+    ),
+    Parameter("climb_rate_m_s", "m/s", 5.0, 0.1, 20.0, _as("TECS_CLMB_MAX")),
+    Parameter("descent_rate_m_s", "m/s", 5.0, 0.1, 20.0, _as("TECS_SINK_MAX")),
+    Parameter("waypoint_radius_m", "m", 50.0, 1.0, 32_767.0, _as("WP_RADIUS")),
+    Parameter("loiter_radius_m", "m", 60.0, 1.0, 32_767.0, _as("WP_LOITER_RAD")),
+    Parameter(
+        "return_height_m",
+        "m",
+        100.0,
+        0.01,
+        32_767.0,
+        (Spelling("RTL_ALTITUDE"), Spelling("ALT_HOLD_RTL", 100.0, whole=True)),
+        sent=True,
+    ),
+)
+_PX4_PLANE = (
+    Parameter("cruise_speed_m_s", "m/s", 15.0, 0.5, 100.0, _as("FW_AIRSPD_TRIM")),
+    Parameter("climb_rate_m_s", "m/s", 5.0, 1.0, 15.0, _as("FW_T_CLMB_MAX")),
+    Parameter("descent_rate_m_s", "m/s", 5.0, 1.0, 15.0, _as("FW_T_SINK_MAX")),
+    Parameter("waypoint_radius_m", "m", 50.0, 0.05, 200.0, _as("NAV_ACC_RAD")),
+    Parameter("loiter_radius_m", "m", 80.0, 1.0, 1000.0, _as("NAV_LOITER_RAD")),
+    Parameter("return_height_m", "m", 100.0, 0.1, 10_000.0, _as("RTL_RETURN_ALT"), sent=True),
+)
+_TABLES: dict[Kind, tuple[Parameter, ...]] = {
+    ("ardupilot", "copter"): _ARDUCOPTER,
+    ("px4", "copter"): _PX4_COPTER,
+    ("ardupilot", "plane"): _ARDUPLANE,
+    ("px4", "plane"): _PX4_PLANE,
+}
+_BY_NAME: dict[Kind, dict[str, tuple[Parameter, Spelling]]] = {
+    kind: {s.name: (p, s) for p in table for s in p.spellings} for kind, table in _TABLES.items()
+}
