@@ -137,15 +137,16 @@ def plan_items(vehicle: VehiclePlan, frame: LocalFrame) -> tuple[MissionItem, ..
         case "loiter":
             radius_m = float(round(vehicle.motion.loiter_radius_m)) if plane else 0.0
             ending = replace(at(LOITER_UNLIMITED, goal_m), param3=radius_m)
-    goal = at(WAYPOINT, goal_m, float(round(vehicle.motion.waypoint_radius_m)) if plane else accept_m)
-    items = [
-        *([at(WAYPOINT, vehicle.home_m)] if ardupilot else []),
-        takeoff,
-        MissionItem(0, FRAME_MISSION, CHANGE_SPEED, speed_type, vehicle.speed_m_s, _THROTTLE_UNCHANGED),
-        *(through(at(WAYPOINT, waypoint_m, accept_m)) for waypoint_m in vehicle.waypoints_m[1:-1]),
-        through(goal),
-        ending,
-    ]
+    legs: list[MissionItem] = []
+    before_m_s = math.nan
+    goal_accept_m = float(round(vehicle.motion.waypoint_radius_m)) if plane else accept_m
+    for k, (waypoint_m, speed_m_s) in enumerate(zip(vehicle.waypoints_m[1:], vehicle.speeds_m_s.tolist(), strict=True)):
+        if speed_m_s != before_m_s:  # it holds until the next one
+            legs.append(MissionItem(0, FRAME_MISSION, CHANGE_SPEED, speed_type, speed_m_s, _THROTTLE_UNCHANGED))
+        before_m_s = speed_m_s
+        accepted_m = goal_accept_m if k == len(vehicle.speeds_m_s) - 1 else accept_m
+        legs.append(replace(through(at(WAYPOINT, waypoint_m, accepted_m)), param1=float(vehicle.hold_s[k])))
+    items = [*([at(WAYPOINT, vehicle.home_m)] if ardupilot else []), takeoff, *legs, ending]
     return tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(items))
 
 

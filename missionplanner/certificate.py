@@ -32,6 +32,7 @@ Check = Literal[
     "separation",  # eq. 9
     "lateness",
     "arrival",  # eq. 10
+    "rendezvous",  # who is to meet on the way does
     "inspection",  # eq. 6
 ]
 

@@ -8,12 +8,14 @@ height is given either above mean sea level (``alt_amsl_m``) or above the ground
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from functools import cache, reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, Strict, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, Strict, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from missionplanner.autopilot_parameters import ParameterError, fields, find, same, shown
@@ -388,13 +390,38 @@ class Vehicle(VehicleSettings):
         return self
 
 
+class Rendezvous(Model):
+    """Places of several vehicles' routes that they reach at the same time."""
+
+    name: Name
+    at: dict[Name, Annotated[int, Strict(), Field(ge=0)] | Name] = Field(
+        min_length=2,
+        description="per vehicle: a tower it inspects, or a number: 0 its start (the top of its take-off where it has "
+        "none), 1, 2, ... its stops and towers in order",
+    )
+
+
 class Fleet(Model):
     """Rules between vehicles."""
 
     separation_m: NonNegative = Field(20.0, description="least distance between any two, at every instant (eq. 9)")
     arrive_together: Flag = True
-    arrival_time_s: Positive | None = Field(None, description="common arrival, after mission start; default: earliest")
-    launch_interval_s: NonNegative = Field(0.0, description="vehicle i starts i times this later")
+    arrival: Literal["earliest", "least_energy"] = Field(
+        "earliest", description="as soon as the slowest can, or everybody at the speed that takes least of its battery"
+    )
+    arrival_time_s: Positive | None = Field(None, description="common arrival, after mission start")
+    arrival_utc: str | None = Field(
+        None,
+        description="common arrival by the clock, e.g. 2026-12-24T10:30:00Z; the mission starts that much before",
+        json_schema_extra={"format": "date-time"},
+    )
+    arrival_order: tuple[Name, ...] = Field((), description="all vehicles, in the order in which they arrive")
+    arrival_spacing_s: NonNegative = Field(0.0, description="how long after the one before it each arrives, in order")
+    rendezvous: tuple[Rendezvous, ...] = Field((), description="in the order in which they are flown")
+    lose_time_by: Literal["start_later", "detour"] = Field(
+        "start_later", description="how those get later who would be too early even at their least speed"
+    )
+    launch_interval_s: NonNegative = Field(0.0, description="vehicle i starts at least i times this later")
     lateness_s: NonNegative = Field(
         0.0, description="all keep apart also when any one of them is up to this much early or late"
     )
@@ -403,6 +430,56 @@ class Fleet(Model):
         description="whether the straight way home must be clear from every point of the mission; where it cannot be, "
         "waive it only if nobody is returned by hand and lost links do not return",
     )
+
+    @property
+    def arrival_clock(self) -> datetime | None:
+        """The common arrival by the clock, in UTC."""
+        return None if self.arrival_utc is None else datetime.fromisoformat(self.arrival_utc).astimezone(UTC)
+
+    def arrives_after_s(self, vehicle: str) -> float:
+        """Return how long after the fleet's common arrival a vehicle is due."""
+        return self.arrival_spacing_s * self.arrival_order.index(vehicle) if self.arrival_order else 0.0
+
+    @field_validator("arrival_utc")
+    @classmethod
+    def _a_time_with_its_zone(cls, text: str | None) -> str | None:
+        try:
+            known = text is None or datetime.fromisoformat(text).tzinfo is not None
+        except ValueError:
+            known = False
+        if not known:
+            raise ValueError(f"expected date, time and zone, e.g. 2026-12-24T10:30:00Z, got {text!r}")
+        return text
+
+    @model_validator(mode="after")
+    def _an_order_with_spacing(self) -> Fleet:
+        asked = {
+            "arrival_time_s": self.arrival_time_s is not None,
+            "arrival_utc": self.arrival_utc is not None,
+            "arrival_order": bool(self.arrival_order),
+        }
+        if not self.arrive_together and any(asked.values()):
+            field = next(name for name, given in asked.items() if given)
+            raise _error_at(("fleet", field), "expected only with arrive_together: true, got false")
+        if self.arrival_spacing_s > 0.0 and not self.arrival_order:
+            raise _error_at(("fleet", "arrival_spacing_s"), "expected arrival_order with it, got none")
+        return self
+
+
+class Wind(Model):
+    """The steady wind that is planned with: as measured or forecast at the height flown."""
+
+    speed_m_s: NonNegative
+    from_deg: Annotated[float, Strict(), Field(ge=0, le=360)] = Field(
+        description="where it blows from, clockwise from north, as pilots and weather services say: 270 is a west wind"
+    )
+
+    @property
+    def velocity_m_s(self) -> tuple[float, float]:
+        """The velocity of the air: east, north."""
+        direction = math.radians(self.from_deg)
+        east, north = -self.speed_m_s * math.sin(direction), -self.speed_m_s * math.cos(direction)
+        return round(east, 12) + 0.0, round(north, 12) + 0.0  # no minus zero
 
 
 class Weights(Model):
@@ -446,8 +523,24 @@ class Mission(Model):
     )
     vehicles: tuple[Vehicle, ...] = Field(min_length=1, max_length=250)
     fleet: Fleet = Fleet()
-    wind_max_m_s: NonNegative = Field(0.0, description="strongest wind to be expected, from any direction")
+    wind: Wind | None = Field(None, description="steady wind: flights are predicted in it; default: calm")
+    wind_max_m_s: NonNegative | None = Field(
+        None,
+        description="strongest wind to be expected, from any direction: energy and ways home are judged in it; default: "
+        "the wind alone",
+    )
     planner: Planner = Planner()
+
+    @property
+    def air_m_s(self) -> tuple[float, float]:
+        """The velocity of the air that flights are predicted in: east, north."""
+        return (0.0, 0.0) if self.wind is None else self.wind.velocity_m_s
+
+    @property
+    def wind_strongest_m_s(self) -> float:
+        """The strongest wind that is allowed for, whatever its direction."""
+        known_m_s = 0.0 if self.wind is None else self.wind.speed_m_s
+        return known_m_s if self.wind_max_m_s is None else self.wind_max_m_s
 
     @model_validator(mode="before")
     @classmethod
@@ -470,6 +563,16 @@ class Mission(Model):
         return self
 
     @model_validator(mode="after")
+    def _no_wind_is_stronger_than_the_strongest(self) -> Mission:
+        if self.wind is not None and self.wind.speed_m_s > self.wind_strongest_m_s:
+            problem = (
+                f"expected at least wind.speed_m_s ({self.wind.speed_m_s:g} m/s), got {self.wind_strongest_m_s:g}: "
+                "raise it, or leave it out"
+            )
+            raise _error_at(("wind_max_m_s",), problem)
+        return self
+
+    @model_validator(mode="after")
     def _parameters_are_known(self) -> Mission:
         for i, vehicle in enumerate(self.vehicles):
             try:
@@ -484,6 +587,26 @@ class Mission(Model):
             if vehicle.vehicle_class == "plane" and vehicle.end == "land":
                 problem = "expected loiter or rtl for a plane, got 'land': no approach is planned; land it by hand"
                 raise _error_at(("vehicles", i, "end"), problem)
+        return self
+
+    @model_validator(mode="after")
+    def _meetings_are_of_the_fleet(self) -> Mission:
+        names = [vehicle.name for vehicle in self.vehicles]
+        order = self.fleet.arrival_order
+        if order and sorted(order) != sorted(names):
+            wrong = [name for name in order if name not in names]
+            problem = (
+                f"got {wrong[0]!r}: {_suggestion(wrong[0], names)}" if wrong else f"got {len(order)} of {len(names)}"
+            )
+            raise _error_at(
+                ("fleet", "arrival_order"), f"expected the name of every vehicle once, in their order, {problem}"
+            )
+        _expect_unique("name", {("fleet", "rendezvous", i): r.name for i, r in enumerate(self.fleet.rendezvous)})
+        for i, meeting in enumerate(self.fleet.rendezvous):
+            for name in meeting.at:
+                if name not in names:
+                    problem = f"expected the name of a vehicle, got {name!r}: {_suggestion(name, names)}"
+                    raise _error_at(("fleet", "rendezvous", i, "at"), problem)
         return self
 
     @model_validator(mode="after")

@@ -6,6 +6,7 @@ Positions are in the mission's local frame: x east, y north, z altitude AMSL, al
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -65,7 +66,8 @@ class VehiclePlan:
     waypoints_m: FloatArray  # (W, 3); the first is the top of the take-off
     end: Ending
     length_m: float  # of path_m
-    speed_m_s: float  # commanded along the legs
+    speeds_m_s: FloatArray  # (W - 1,) commanded along the leg to each waypoint but the first
+    hold_s: FloatArray  # (W - 1,) whole seconds to stand still there
     start_delay_s: float
     window_s: tuple[float, float]  # of the arrival, fastest and slowest, without delay (eq. 10)
     arrival_s: float  # predicted, delay included
@@ -76,6 +78,22 @@ class VehiclePlan:
     history: FloatArray  # (G,) best cost per iteration
     evaluations: int
     clearances: tuple[Clearance, ...]  # least to terrain, and to the nearest obstacle or fence if there is any
+
+    @property
+    def speed_m_s(self) -> float:
+        """The greatest speed commanded: that of all legs, unless meetings on the way ask for others."""
+        return float(self.speeds_m_s.max())
+
+
+@dataclass(frozen=True, slots=True)
+class Resolution:
+    """How a vehicle was kept apart from another, or kept from being too early."""
+
+    vehicle: str
+    other: str  # whom it would have met; empty where it only lost time
+    t_s: float  # when
+    how: Literal["speed", "start", "altitude", "way", "detour"]
+    detail: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,6 +109,7 @@ class FleetPlan:
     software_version: str
     input_sha256: str  # of the mission and its terrain
     certificate: Certificate | None = None  # of the missions as planned; None: nothing is proven yet
+    resolutions: tuple[Resolution, ...] = ()  # in the order in which they were found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ carry over a verdict that no longer holds. The format is described in docs/PLAN_
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -24,11 +24,19 @@ from missionplanner.geodesy import FloatArray, LocalFrame
 from missionplanner.mission import parse_mission
 from missionplanner.path import length_m
 from missionplanner.path_search import PlannedPath
-from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownVehicle, Trajectory, VehiclePlan
-from missionplanner.planner import Schedule
+from missionplanner.plan import (
+    Clearance,
+    FleetFlight,
+    FleetPlan,
+    FlownVehicle,
+    Resolution,
+    Trajectory,
+    VehiclePlan,
+)
 from missionplanner.scene import TERRAIN_NAME, Scene, VehicleTask, build_scene, portable_mission
+from missionplanner.schedule import SPEED_STEP_M_S, Schedule
 from missionplanner.terrain import write_raster
-from missionplanner.timing import SPEED_STEP_M_S
+from missionplanner.waypoints import passes
 
 PLAN_NAME = "plan.json"
 FLIGHT_NAME = "flight.json"
@@ -36,14 +44,13 @@ CERTIFICATE_NAME = "certificate.json"
 FORMAT = "missionplanner-plan"
 FLIGHT_FORMAT = "missionplanner-flight"
 CERTIFICATE_FORMAT = "missionplanner-certificate"
-VERSION = 2
+VERSION = 3
 FLIGHT_VERSION = 1
 
 Coordinate = Annotated[float, Field(ge=-2e5, le=2e5)]
 """Further from the origin, a number is a slip; and predicting a flight there would take days."""
 
 Vector = tuple[Coordinate, Coordinate, Coordinate]
-_AT_STOP_M = 0.01
 
 
 class _Record(BaseModel):
@@ -60,7 +67,8 @@ class _VehicleRecord(_Record):
     name: str
     path_m: tuple[Vector, ...] = Field(min_length=2)
     waypoints: tuple[_WaypointRecord, ...] = Field(min_length=2)
-    speed_m_s: Annotated[float, Field(gt=0)]
+    speeds_m_s: tuple[Annotated[float, Field(gt=0)], ...]
+    hold_s: tuple[Annotated[float, Field(ge=0)], ...]
     start_delay_s: Annotated[float, Field(ge=0)]
     return_height_m: Annotated[float, Field(gt=0)]
     window_s: tuple[float, float]
@@ -68,6 +76,20 @@ class _VehicleRecord(_Record):
     cost_terms: dict[str, float]
     history: tuple[float, ...]
     evaluations: int
+
+    @model_validator(mode="after")
+    def _a_speed_for_every_leg(self) -> _VehicleRecord:
+        if not len(self.speeds_m_s) == len(self.hold_s) == len(self.waypoints) - 1:
+            raise ValueError("expected a speed and a hold for every waypoint but the first")
+        return self
+
+
+class _ResolutionRecord(_Record):
+    vehicle: str
+    other: str
+    t_s: float
+    how: Literal["speed", "start", "altitude", "way", "detour"]
+    detail: str
 
 
 class _FlownRecord(_Record):
@@ -102,12 +124,13 @@ class _CertificateRecord(_Record):
 
 class _PlanRecord(_Record):
     format: Literal["missionplanner-plan"]
-    version: Literal[2]
+    version: Literal[3]
     software_version: str
     seed: Annotated[int, Field(ge=0)]
     input_sha256: str
     mission: dict[str, Any]
     arrival_s: float | None
+    resolutions: tuple[_ResolutionRecord, ...]
     vehicles: tuple[_VehicleRecord, ...]
 
 
@@ -131,6 +154,7 @@ def save_plan(folder: Path, scene: Scene, plan: FleetPlan) -> Path:
         "seed": plan.seed,
         "input_sha256": plan.input_sha256,
         "arrival_s": plan.arrival_s,
+        "resolutions": [asdict(resolution) for resolution in plan.resolutions],
         "separation": plan.separation and _clearance(plan.separation, plan.frame),
         "vehicles": [_vehicle(vehicle, plan.frame) for vehicle in plan.vehicles],
         "mission": mission.model_dump(mode="json", by_alias=True, exclude_unset=True),
@@ -173,9 +197,11 @@ def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
         )
     paths = [_path(vehicle) for vehicle in record.vehicles]
     scene = planner.returning_at(scene, {v.name: v.return_height_m for v in record.vehicles})
-    schedules = [Schedule(v.start_delay_s, v.speed_m_s, v.window_s) for v in record.vehicles]
+    schedules = [Schedule(v.start_delay_s, v.speeds_m_s, v.hold_s, v.window_s) for v in record.vehicles]
     plan = planner.assemble(scene, paths, schedules, record.arrival_s, record.seed)
-    return scene, proof.checked(scene, replace(plan, software_version=record.software_version))
+    resolutions = tuple(Resolution(**r.model_dump()) for r in record.resolutions)
+    plan = replace(plan, software_version=record.software_version, resolutions=resolutions)
+    return scene, proof.checked(scene, plan)
 
 
 def save_flight(folder: Path, flight: FleetFlight, *, unproven: bool = False) -> Path:
@@ -287,20 +313,23 @@ def _read(path: Path, kind: type[_AnyRecord], remedy: str) -> _AnyRecord:
 def _misfit(task: VehicleTask, record: _VehicleRecord, delay_min_s: float) -> str | None:
     """Return what the mission expects of a vehicle and its record does not keep; None if it keeps all."""
     low, high = task.limits.speed_min_m_s, task.limits.speed_max_m_s
-    if not low - SPEED_STEP_M_S <= record.speed_m_s <= high + SPEED_STEP_M_S:
-        return f"a speed of {low:g} to {high:g} m/s, got {record.speed_m_s:g}"
+    for speed_m_s in record.speeds_m_s:
+        if not low - SPEED_STEP_M_S <= speed_m_s <= high + SPEED_STEP_M_S:
+            return f"a speed of {low:g} to {high:g} m/s, got {speed_m_s:g}"
     if record.start_delay_s < delay_min_s:
         return f"a start {delay_min_s:g} s after mission start (fleet.launch_interval_s), got {record.start_delay_s:g}"
     waypoints_m = np.array([w.position_m for w in record.waypoints])
     last = len(task.route_m) - 1
     names = ["the top of the take-off", *(f"stop {k}" for k in range(1, last)), "the goal"]
-    begin = 0
-    for stop, (name, point_m) in enumerate(zip(names, task.route_m, strict=True)):
-        near = np.linalg.norm(waypoints_m - point_m, axis=1) <= _AT_STOP_M
-        at = begin + int(np.argmax(near[begin:])) if near[begin:].any() else -1
-        if at < 0 or (stop == 0 and at != 0) or (stop == last and not near[-1]):
-            return f"waypoints from the top of the take-off through every stop to the goal, got none at {name}"
-        begin = at + 1
+    found = passes(task.route_m, waypoints_m)
+    if found[:1] != [0]:
+        missed: int | None = 0
+    elif len(found) <= last:
+        missed = len(found)
+    else:
+        missed = None if found[-1] == len(waypoints_m) - 1 else last
+    if missed is not None:
+        return f"waypoints from the top of the take-off through every stop to the goal, got none at {names[missed]}"
     return None
 
 
@@ -329,7 +358,8 @@ def _vehicle(vehicle: VehiclePlan, frame: LocalFrame) -> dict[str, Any]:
         "class": vehicle.vehicle_class,
         "home": _place(vehicle.home_m, frame),
         "end": vehicle.end,
-        "speed_m_s": vehicle.speed_m_s,
+        "speeds_m_s": vehicle.speeds_m_s.tolist(),
+        "hold_s": vehicle.hold_s.tolist(),
         "start_delay_s": vehicle.start_delay_s,
         "return_height_m": vehicle.motion.return_height_m,
         "window_s": list(vehicle.window_s),

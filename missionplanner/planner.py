@@ -1,41 +1,55 @@
 """The orchestrator: a scene becomes a fleet plan.
 
 Vehicles are planned one after the other, each pricing the ways of those before it; then all are timed together
-(PAPER.md eq. 10) and their predicted flights held against each other (eq. 9). Whoever comes too close is planned again
-around the other's flight, or starts later. Then the heights at which they return are chosen, and all of it is proven
-(:mod:`.proof`); who is not proven is planned again with more room. What is returned has a certificate; else nothing is.
+(:mod:`.schedule`, PAPER.md eq. 10) and their predicted flights held against each other (eq. 9). Of two who come too
+close, one passes at another speed or starts later, if that keeps them well apart in time and the fleet waiting only a
+little; else one is planned again around the other's flight. Then the heights at which they return are chosen, and all
+of it is proven (:mod:`.proof`); who is not proven is planned again with more room. What is returned has a certificate;
+else nothing is.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
-from typing import Protocol
+from functools import lru_cache, partial
+from typing import Literal, Protocol
 
 import numpy as np
 
-from missionplanner import __version__, obstacles, proof, returns, timing
+from missionplanner import __version__, energy, obstacles, proof, returns, timing
 from missionplanner.certificate import Finding
 from missionplanner.clearance import Margins, distance_to_legs_m, polyline_legs, tubes_clear
 from missionplanner.cost import Price
-from missionplanner.errors import InfeasibleError
+from missionplanner.errors import InfeasibleError, MissionError, MissionPlannerError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 from missionplanner.obstacles import CableSolid, CylinderSolid, Solid
 from missionplanner.path import evenly
 from missionplanner.path_search import PlannedPath, find_path
-from missionplanner.plan import FleetPlan, Trajectory, VehiclePlan
+from missionplanner.plan import FleetPlan, Resolution, Trajectory, VehiclePlan
 from missionplanner.proof import Conflict
 from missionplanner.returns import Returning, UnreturnableError
 from missionplanner.scene import Scene, Towers, VehicleTask
+from missionplanner.schedule import Flier, Meeting, Schedule, TooEarlyError, arrange
+from missionplanner.waypoints import passes
 
 _FELLOW_INSTANTS = 128
 _FELLOW_SLACK_M = 5.0
 _ROUNDS = 24
 _AVOID_S = 20.0
 """How long before and after a conflict the other's flight is kept clear of."""
-_DELAY_S = 15.0
+_SHIFTS_S = (5.0, -5.0, 10.0, -10.0, 20.0, -20.0, 40.0)
+"""How much later or earlier a vehicle may pass where it would meet another."""
+_LATER_MAX_S = 15.0
+"""By how much the fleet may arrive later for that."""
+_OFF_S = 3.0
+"""Who is parted by time alone keeps apart even if one is this much early or late."""
+_PACES = 13
+_DETOURS = 8
+_DETOUR_SHARE = 1.05
+_DETOUR_ROOM_M = 5.0
 _STARTS = 3
 _PROOFS = 4
 _MENDS = 8
@@ -50,15 +64,6 @@ class Watch(Protocol):
 
     def __call__(self, vehicle: str, done: float) -> None:
         """Take the news."""
-
-
-@dataclass(frozen=True, slots=True)
-class Schedule:
-    """When and how fast one vehicle flies its path."""
-
-    start_delay_s: float
-    speed_m_s: float
-    window_s: tuple[float, float]
 
 
 def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = None) -> FleetPlan:
@@ -95,6 +100,15 @@ def _proven(team: _Team) -> FleetPlan:
     raise InfeasibleError(f"not proven: {'; '.join(map(str, problems))}")
 
 
+@dataclass(frozen=True, slots=True)
+class _Pin:
+    """A time at which one vehicle passes one of its waypoints, so that it does not meet another."""
+
+    index: int
+    waypoint: int
+    t_s: float
+
+
 class _Team:
     """The vehicles' paths while a plan is looked for, and what each has learned to keep clear of."""
 
@@ -108,18 +122,41 @@ class _Team:
         self._mends = _MENDS
         self._overhead = _overhead(scene)
         self._avoided: list[list[Solid]] = [[] for _ in scene.tasks]
+        self._detours: list[dict[int, FloatArray]] = [{} for _ in scene.tasks]
         self._delays_s = [index * scene.mission.fleet.launch_interval_s for index in range(len(scene.tasks))]
+        self._pins: list[_Pin] = []
+        self._resolutions: list[Resolution] = []
         self._paths: list[PlannedPath] = []
         for index in range(len(scene.tasks)):
             self._paths.append(self._path(index, [], self._paths))
 
     def _path(self, index: int, avoided: Sequence[Solid], fellows: Sequence[PlannedPath]) -> PlannedPath:
         task = self._scene.tasks[index]
+        detours = self._detours[index]
+        for after in sorted(detours, reverse=True):
+            task = replace(task, route_m=np.insert(task.route_m, after + 1, detours[after], axis=0))
         rng, wider_m = self._generators[index], self._wider_m[index]
         return _path(self._scene, [*self._overhead, *avoided], task, fellows, rng, self._watch, wider_m)
 
     def _fellows(self, index: int) -> list[PlannedPath]:
         return [path for k, path in enumerate(self._paths) if k != index]
+
+    def _replace(self, index: int, path: PlannedPath) -> None:
+        """Take a new path for a vehicle: what timed the old one no longer holds."""
+        name = self._scene.tasks[index].name
+        self._paths[index] = path
+        self._pins = [pin for pin in self._pins if pin.index != index]
+        self._resolutions = [r for r in self._resolutions if r.vehicle != name or r.how != "speed"]
+
+    def _scheduled(self) -> tuple[list[Schedule], float | None]:
+        """Return the schedules; whoever may not lose time but by a detour is planned again with one."""
+        for _ in range(_DETOURS):
+            try:
+                return schedule(self._scene, self._paths, self._delays_s, self._pins)
+            except TooEarlyError as error:
+                if self._scene.mission.fleet.lose_time_by != "detour" or not self._detoured(error):
+                    raise
+        return schedule(self._scene, self._paths, self._delays_s, self._pins)
 
     def apart(self) -> tuple[Scene, FleetPlan]:
         """Return a plan in which all keep apart, and the scene with the heights at which they return.
@@ -133,12 +170,12 @@ class _Team:
         conflict: Conflict | None = None
         for round_ in range(_ROUNDS):
             try:
-                schedules, arrival_s = schedule(scene, self._paths, self._delays_s)
+                schedules, arrival_s = self._scheduled()
             except InfeasibleError:
                 if conflict is None:
                     raise
                 break  # what would part them keeps them from arriving together
-            plan = assemble(scene, self._paths, schedules, arrival_s, self._seed)
+            plan = self._assembled(scene, schedules, arrival_s)
             conflict = proof.worst_conflict(scene, plan)
             if conflict is None:
                 try:
@@ -147,16 +184,80 @@ class _Team:
                     if not self._mended(error, plan, round_):
                         raise
                     continue
-                plan = assemble(returned, self._paths, schedules, arrival_s, self._seed)
+                plan = self._assembled(returned, schedules, arrival_s)
                 conflict = proof.worst_conflict(returned, plan)  # who returns at its end now does so at its own height
             if conflict is None:
                 return returned, plan
-            if not self._part(conflict, plan, round_) and not self._delay(conflict, arrival_s):
+            if not self._timed_apart(conflict, plan) and not self._part(conflict, plan, round_):
                 break
         raise InfeasibleError(
             f"{conflict}, and no new plan parted them: move their starts, goals or stops apart, set "
             "fleet.launch_interval_s, or lower fleet.separation_m"
         )
+
+    def _assembled(self, scene: Scene, schedules: Sequence[Schedule], arrival_s: float | None) -> FleetPlan:
+        plan = assemble(scene, self._paths, schedules, arrival_s, self._seed)
+        return replace(plan, resolutions=tuple(self._resolutions))
+
+    def _timed_apart(self, conflict: Conflict, plan: FleetPlan) -> bool:
+        """Let one of two pass where they meet at another time; False where no small change keeps them well apart.
+
+        Of all that does, what makes the fleet arrive the least later, then what changes the least.
+        """
+        found: list[tuple[float, float, list[_Pin], list[float], Resolution]] = []
+        before_s = plan.arrival_s
+        for index in (conflict.second, conflict.first):
+            name, other = plan.vehicles[index].name, conflict.names[int(index == conflict.first)]
+            for shift_s in _SHIFTS_S:
+                for pins, delays_s, how, told in self._timings(index, conflict, plan, shift_s):
+                    try:
+                        schedules, arrival_s = schedule(self._scene, self._paths, delays_s, pins)
+                    except InfeasibleError:
+                        continue
+                    later_s = (arrival_s or 0.0) - (before_s or 0.0)
+                    if later_s > _LATER_MAX_S:
+                        continue
+                    trial = assemble(self._scene, self._paths, schedules, arrival_s, self._seed)
+                    if self._keeps_apart(index, conflict, trial):
+                        resolution = Resolution(name, other, conflict.t_s, how, told)
+                        found.append((max(later_s, 0.0), abs(shift_s), pins, delays_s, resolution))
+            if found:
+                break  # who comes later in the mission gives way, if it can
+        if not found:
+            return False
+        _, _, self._pins, self._delays_s, resolution = min(found, key=lambda option: option[:2])
+        self._resolutions.append(resolution)
+        return True
+
+    def _timings(
+        self, index: int, conflict: Conflict, plan: FleetPlan, shift_s: float
+    ) -> Iterator[tuple[list[_Pin], list[float], Literal["speed", "start"], str]]:
+        """Yield pins and delays with which a vehicle passes the conflict ``shift_s`` later (below 0: earlier)."""
+        vehicle = plan.vehicles[index]
+        last = len(vehicle.reached_s) - 1
+        # the waypoint before or after the conflict at which it can still make up for it
+        passed = min(max(int(np.searchsorted(vehicle.reached_s, conflict.t_s)), 1), last - 1)
+        if 1 <= passed < last:
+            pin = _Pin(index, passed, round(float(vehicle.reached_s[passed]) + shift_s, 2))
+            kept = [p for p in self._pins if (p.index, p.waypoint) != (index, passed)]
+            told = f"passes waypoint {passed} {abs(shift_s):g} s {'later' if shift_s > 0.0 else 'earlier'}"
+            yield [*kept, pin], self._delays_s, "speed", told
+        if shift_s > 0.0:
+            delays_s = list(self._delays_s)
+            delays_s[index] = vehicle.start_delay_s + shift_s
+            yield self._pins, delays_s, "start", f"starts {delays_s[index]:g} s after the mission"
+
+    def _keeps_apart(self, index: int, conflict: Conflict, plan: FleetPlan) -> bool:
+        """Whether a vehicle comes too close to nobody, and to whom it would have met not even if one is a bit off."""
+        other = conflict.first if index == conflict.second else conflict.second
+        mine = plan.vehicles[index].trajectory
+        for k, vehicle in enumerate(plan.vehicles):
+            required_m = proof.required_apart_m(self._scene, self._scene.tasks[index], self._scene.tasks[k])
+            if k != index and timing.least_separation([mine, vehicle.trajectory], required_m):
+                return False
+        late_s = max(_OFF_S, self._scene.mission.fleet.lateness_s)
+        required_m = proof.required_apart_m(self._scene, self._scene.tasks[index], self._scene.tasks[other])
+        return timing.lateness_slack(mine, plan.vehicles[other].trajectory, required_m, late_s) >= late_s
 
     def _part(self, conflict: Conflict, plan: FleetPlan, round_: int, *, tall: bool = False) -> bool:
         """Plan one of two again around the other's flight: the later one, when that has not parted them the other.
@@ -167,13 +268,54 @@ class _Team:
         for index in (conflict.second, conflict.first) if later_first else (conflict.first, conflict.second):
             other = plan.vehicles[conflict.first if index == conflict.second else conflict.second]
             flight = _flight_around(other, conflict, self._scene.tasks[index], tall=tall)
+            before = self._paths[index]
             try:
-                self._paths[index] = self._path(index, [*self._avoided[index], *flight], self._fellows(index))
+                path = self._path(index, [*self._avoided[index], *flight], self._fellows(index))
             except InfeasibleError:
                 continue
+            self._replace(index, path)
             self._avoided[index] += flight
+            self._resolutions.append(_went_around(plan.vehicles[index], other.name, conflict.t_s, before, path))
             return True
         return False
+
+    def _detoured(self, error: TooEarlyError) -> bool:
+        """Plan a vehicle again with a way so much longer that it arrives on time; False where there is none."""
+        index = error.index
+        task = self._scene.tasks[index]
+        stops = _stop_indices(task.route_m, self._paths[index].waypoints_m)
+        inside = [k for k in range(len(stops) - 1) if stops[k] >= error.legs[0] and stops[k + 1] <= error.legs[1]]
+        if not inside:
+            return False
+        lengths_m = np.linalg.norm(np.diff(task.route_m, axis=0), axis=1)
+        longest = max(inside, key=lambda k: lengths_m[k])
+        a, b = task.route_m[longest], task.route_m[longest + 1]
+        way_m = float(lengths_m[longest])
+        bend = self._detours[index].get(longest)
+        now_m = way_m if bend is None else float(np.linalg.norm(bend - a) + np.linalg.norm(b - bend))
+        longer_m = now_m + error.early_s * task.limits.speed_min_m_s * _DETOUR_SHARE
+        off_m = 0.5 * math.sqrt(longer_m**2 - way_m**2)
+        along = (b - a)[:2] / max(float(np.linalg.norm((b - a)[:2])), 1e-9)
+        before, kept = self._paths[index], dict(self._detours[index])
+        for side in (1.0, -1.0):
+            across = side * off_m * np.array([-along[1], along[0], 0.0])
+            self._detours[index] = kept | {longest: self._above_ground(task, 0.5 * (a + b) + across)}
+            try:
+                path = self._path(index, self._avoided[index], self._fellows(index))
+            except MissionPlannerError:  # outside the terrain, or no way there
+                continue
+            self._replace(index, path)
+            told = f"flies {path.length_m - before.length_m:.0f} m more, to arrive {error.early_s:.0f} s later"
+            self._resolutions.append(Resolution(task.name, "", 0.0, "detour", told))
+            return True
+        self._detours[index] = kept
+        return False
+
+    def _above_ground(self, task: VehicleTask, place_m: FloatArray) -> FloatArray:
+        """Return a place raised to where the vehicle may fly."""
+        ground_m = self._scene.terrain.ground_amsl_m(place_m[0], place_m[1], f"{task.name}'s detour")
+        lowest_m = ground_m + Margins.of(task.limits).height_agl_min_m + _DETOUR_ROOM_M
+        return np.array([place_m[0], place_m[1], max(place_m[2], lowest_m)])
 
     def _mended(self, error: UnreturnableError, plan: FleetPlan, round_: int) -> bool:
         """Plan those again who cannot return, or not apart; False where nothing was found to help."""
@@ -190,12 +332,6 @@ class _Team:
         over = Conflict(first, second, (names[first], names[second]), 0.0, required_m, error.t_s)
         return self._part(over, plan, round_, tall=True)  # who climbs home must not be below another's way
 
-    def _delay(self, conflict: Conflict, arrival_s: float | None) -> bool:
-        if arrival_s is not None and conflict.t_s > 0.5 * arrival_s:
-            return False  # who starts later and arrives at the same time is in the same place by then
-        self._delays_s[conflict.second] += _DELAY_S
-        return True
-
     def give_room(self, problems: Sequence[Finding]) -> bool:
         """Plan those again, further off, whose own way is not proven; False where that cannot help."""
         names = [task.name for task in self._scene.tasks]
@@ -211,7 +347,7 @@ class _Team:
         """Plan one vehicle again, further off everything by what it lacks and a little more."""
         self._wider_m[index] += _ROOM_M + short_m
         try:
-            self._paths[index] = self._path(index, self._avoided[index], self._fellows(index))
+            self._replace(index, self._path(index, self._avoided[index], self._fellows(index)))
         except InfeasibleError:
             return False
         return True
@@ -289,29 +425,62 @@ def returning_at(scene: Scene, height_m: Mapping[str, float]) -> Scene:
 
 
 def schedule(
-    scene: Scene, paths: Sequence[PlannedPath], delays_s: Sequence[float]
+    scene: Scene, paths: Sequence[PlannedPath], delays_s: Sequence[float], pins: Sequence[_Pin] = ()
 ) -> tuple[list[Schedule], float | None]:
     """Return when and how fast each vehicle flies, and the common arrival if the mission asks for one (eq. 10).
 
     Raises
     ------
     InfeasibleError
-        The fleet cannot arrive together.
+        The fleet cannot meet, or not arrive together.
     """
     fleet = scene.mission.fleet
-    windows = [_window(task, path) for task, path in zip(scene.tasks, paths, strict=True)]
-    if not fleet.arrive_together:
-        speeds = [task.limits.speed_max_m_s for task in scene.tasks]
-        return [Schedule(*s) for s in zip(delays_s, speeds, windows, strict=True)], None
-    names = [task.name for task in scene.tasks]
-    arrival_s = timing.common_arrival(
-        dict(zip(names, windows, strict=True)), dict(zip(names, delays_s, strict=True)), fleet.arrival_time_s
-    )
-    schedules = [
-        Schedule(delay_s, _speed(task, path, arrival_s - delay_s), window_s)
-        for task, path, delay_s, window_s in zip(scene.tasks, paths, delays_s, windows, strict=True)
+    rows = list(zip(scene.tasks, paths, delays_s, strict=True))
+    fliers = [_flier(scene, *row) for row in rows]
+    stops = [_stop_indices(task.route_m, path.waypoints_m) for task, path, _ in rows]
+    names = {task.name: index for index, task in enumerate(scene.tasks)}
+    meetings = [
+        Meeting(
+            f"rendezvous {meeting.name}",
+            {names[n]: stops[names[n]][scene.tasks[names[n]].places[str(place)]] for n, place in meeting.at.items()},
+        )
+        for meeting in fleet.rendezvous
     ]
-    return schedules, arrival_s
+    for pin in pins:
+        before = [k for k, m in enumerate(meetings) if m.at.get(pin.index, math.inf) >= pin.waypoint]
+        at = before[0] if before else len(meetings)
+        if at == len(meetings) or meetings[at].at.get(pin.index) != pin.waypoint:
+            meetings.insert(
+                at, Meeting(f"{scene.tasks[pin.index].name}'s pass", {pin.index: pin.waypoint}, {}, pin.t_s)
+            )
+    if fleet.arrive_together:
+        goals = {index: stop[-1] for index, stop in enumerate(stops)}
+        after_s = {index: fleet.arrives_after_s(task.name) for index, task in enumerate(scene.tasks)}
+        meetings.append(Meeting("fleet.arrival_time_s", goals, after_s, fleet.arrival_time_s))
+    schedules, times = arrange(fliers, meetings, start_later=fleet.lose_time_by == "start_later")
+    return schedules, times[-1] if fleet.arrive_together else None
+
+
+def _flier(scene: Scene, task: VehicleTask, path: PlannedPath, delay_s: float) -> Flier:
+    thrifty = scene.mission.fleet.arrival == "least_energy"
+    return Flier(
+        name=task.name,
+        reached_s=partial(_reached, task, path),
+        legs=len(path.waypoints_m) - 1,
+        speed_min_m_s=task.limits.speed_min_m_s,
+        speed_max_m_s=task.limits.speed_max_m_s,
+        pace_m_s=_thriftiest_m_s(scene, task, path) if thrifty else task.limits.speed_max_m_s,
+        delay_s=delay_s,
+        can_wait=task.motion.vehicle_class == "copter",
+        thrifty=thrifty,
+    )
+
+
+def _stop_indices(route_m: FloatArray, waypoints_m: FloatArray) -> list[int]:
+    """Return which of its waypoints are the points of a vehicle's route."""
+    stops = passes(route_m, waypoints_m)
+    assert len(stops) == len(route_m), "legs are fitted through every stop"
+    return stops
 
 
 def assemble(
@@ -339,7 +508,8 @@ def assemble(
                 waypoints_m=path.waypoints_m,
                 end=task.end,
                 length_m=path.length_m,
-                speed_m_s=when.speed_m_s,
+                speeds_m_s=np.array(when.speeds_m_s),
+                hold_s=np.array(when.hold_s),
                 start_delay_s=when.start_delay_s,
                 window_s=when.window_s,
                 arrival_s=float(reached_s[-1]),
@@ -368,16 +538,29 @@ def assemble(
 # Most paths outlive a round of the planner: what follows from one is worked out once (they compare by identity).
 
 
-@lru_cache(maxsize=256)
-def _window(task: VehicleTask, path: PlannedPath) -> tuple[float, float]:
-    low, high = task.limits.speed_min_m_s, task.limits.speed_max_m_s
-    return timing.arrival_window(task.motion, task.home_m, path.waypoints_m, low, high)
+@lru_cache(maxsize=16384)
+def _reached(
+    task: VehicleTask, path: PlannedPath, speeds_m_s: tuple[float, ...], hold_s: tuple[float, ...]
+) -> FloatArray:
+    return timing.reached_times(task.motion, task.home_m, path.waypoints_m, speeds_m_s, hold_s)
 
 
 @lru_cache(maxsize=256)
-def _speed(task: VehicleTask, path: PlannedPath, arrival_s: float) -> float:
-    low, high = task.limits.speed_min_m_s, task.limits.speed_max_m_s
-    return timing.speed_for_arrival(task.motion, task.home_m, path.waypoints_m, arrival_s, low, high)
+def _thriftiest_m_s(scene: Scene, task: VehicleTask, path: PlannedPath) -> float:
+    """Return the speed along the whole way that takes least of the battery, of some between least and greatest."""
+    settings = next(vehicle for vehicle in scene.mission.vehicles if vehicle.name == task.name)
+    model = energy.energy_model(settings)
+    if model is None:
+        raise MissionError(
+            f"fleet.arrival: least_energy: expected endurance_s or energy of every vehicle, got neither of {task.name}"
+        )
+    low_m_s, high_m_s = task.limits.speed_min_m_s, task.limits.speed_max_m_s
+    used: dict[float, float] = {}
+    for speed_m_s in np.linspace(low_m_s, high_m_s, _PACES).round(2).clip(low_m_s, high_m_s).tolist():
+        flight, reached_s = timing.predict_flight(task.motion, task.home_m, path.waypoints_m, speed_m_s)
+        share = energy.used_share(model, flight, scene.mission.wind_max_m_s or 0.0)
+        used[speed_m_s] = float(np.interp(reached_s[-1], flight.t_s, share))
+    return min(used, key=lambda speed_m_s: used[speed_m_s])
 
 
 @lru_cache(maxsize=256)
@@ -388,7 +571,8 @@ def _flight(
         task.motion,
         task.home_m,
         path.waypoints_m,
-        when.speed_m_s,
+        when.speeds_m_s,
+        hold_s=when.hold_s,
         end=task.end,
         ground_amsl_m=ground_amsl_m,
         start_delay_s=when.start_delay_s,
@@ -477,6 +661,24 @@ def _unvisited(scene: Scene) -> Towers | None:
         return None
     names = tuple(towers.names[k] for k in left)
     return replace(towers, names=names, top_m=towers.top_m[left], weight=towers.weight[left])
+
+
+def _went_around(vehicle: VehiclePlan, other: str, t_s: float, before: PlannedPath, after: PlannedPath) -> Resolution:
+    """Return how a new path keeps away from where another was met: rather above or below, or rather beside it."""
+    legs = polyline_legs(after.waypoints_m)
+    met_m = vehicle.trajectory.at(t_s)
+    along = np.clip(
+        ((met_m - legs[:, 0]) * (legs[:, 1] - legs[:, 0])).sum(axis=1)
+        / np.maximum(((legs[:, 1] - legs[:, 0]) ** 2).sum(axis=1), 1e-9),
+        0.0,
+        1.0,
+    )
+    nearest_m = legs[:, 0] + along[:, np.newaxis] * (legs[:, 1] - legs[:, 0])
+    off_m = nearest_m[int(np.argmin(np.linalg.norm(nearest_m - met_m, axis=1)))] - met_m
+    higher = abs(off_m[2]) > float(np.hypot(off_m[0], off_m[1]))
+    where = f"{abs(off_m[2]):.0f} m {'higher' if off_m[2] > 0.0 else 'lower'}" if higher else "another way"
+    longer = f"{after.length_m - before.length_m:+.0f} m"
+    return Resolution(vehicle.name, other, t_s, "altitude" if higher else "way", f"flies {where}, {longer}")
 
 
 def _braking_m(task: VehicleTask) -> float:

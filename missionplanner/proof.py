@@ -42,6 +42,7 @@ CHORD_ERROR_M = 0.02
 _ANGLE_SLACK_RAD = 1e-5
 _SPEED_SLACK_M_S = 1e-3  # single precision on the wire
 _LEVEL_M = 0.01
+_MEETING_M = 0.1  # a waypoint is at a place of the route as far as its wire format tells
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,6 +129,7 @@ def prove_flights(
     findings += _together(scene, flights)
     findings += _returns(scene, flights)
     findings += _arrival(scene, flights, arrival_s)
+    findings += _rendezvous(scene, flights)
     findings += _inspection(scene, flights)
     return Certificate(
         findings=tuple(findings),
@@ -151,20 +153,22 @@ def planned_sortie(scene: Scene, vehicle: VehiclePlan) -> Sortie:
         alt_amsl_m = float(np.float32(point.alt_amsl_m))
         return scene.frame.to_local(round(point.lat_deg, 7), round(point.lon_deg, 7), alt_amsl_m)
 
-    speed_m_s = float(np.float32(vehicle.speed_m_s))
-    seq = 1 if vehicle.autopilot == "ardupilot" else 0  # of the take-off; the speed comes after it
-    seqs = [seq, *(seq + 2 + k for k in range(len(vehicle.waypoints_m) - 1))]
+    speeds_m_s = np.float32(vehicle.speeds_m_s).astype(float).tolist()
+    first = 1 if vehicle.autopilot == "ardupilot" else 0  # of the take-off; a new speed comes before its leg
+    changes = np.concatenate([[True], np.diff(vehicle.speeds_m_s) != 0.0])
+    seqs = [first, *(first + 1 + np.arange(len(changes)) + np.cumsum(changes)).tolist()]
     legs = tuple(
-        Leg(seqs[k], "takeoff" if k == 0 else "straight", held(waypoint_m), speed_m_s)
-        for k, waypoint_m in enumerate(vehicle.waypoints_m)
+        Leg(seqs[k + 1], "straight", held(waypoint_m), speeds_m_s[k], float(vehicle.hold_s[k]))
+        for k, waypoint_m in enumerate(vehicle.waypoints_m[1:])
     )
+    takeoff = Leg(seqs[0], "takeoff", held(vehicle.waypoints_m[0]), speeds_m_s[0])
     return Sortie(
         name=vehicle.name,
         sysid=vehicle.sysid,
         autopilot=vehicle.autopilot,
         vehicle_class=vehicle.vehicle_class,
         home_m=held(vehicle.home_m) if vehicle.autopilot == "ardupilot" else vehicle.home_m,
-        legs=legs,
+        legs=(takeoff, *legs),
         ending=vehicle.end,
         ending_seq=seqs[-1] + 1,
         start_delay_s=vehicle.start_delay_s,
@@ -838,13 +842,49 @@ def _arrival(scene: Scene, flights: Sequence[Flight], arrival_s: float | None) -
     if asked_s is not None and abs(arrival_s - asked_s) > ARRIVAL_ERROR_MAX_S:
         detail = f"the fleet arrives at {arrival_s:.1f} s, expected fleet.arrival_time_s {asked_s:g}"
         return [Finding("arrival", "", False, detail, "plan the mission again", arrival_s, asked_s, "s")]
-    off = [(abs(float(f.reached_s[-1]) - arrival_s), f) for f in flights]
+    fleet = scene.mission.fleet
+    due = {f.sortie.name: arrival_s + fleet.arrives_after_s(f.sortie.name) for f in flights}
+    off = [(abs(float(f.reached_s[-1]) - due[f.sortie.name]), f) for f in flights]
     worst_s, worst = max(off, key=lambda pair: pair[0])
+    in_order = f", {fleet.arrival_spacing_s:g} s one after the other" if fleet.arrival_spacing_s > 0.0 else ""
     if worst_s > ARRIVAL_ERROR_MAX_S:
-        detail = f"arrives at {worst.reached_s[-1]:.1f} s, expected with the fleet at {arrival_s:.1f} s"
+        due_s = due[worst.sortie.name]
+        detail = f"arrives at {worst.reached_s[-1]:.1f} s, expected with the fleet{in_order} at {due_s:.1f} s"
         return [Finding("arrival", worst.sortie.name, False, detail, "ask for another fleet.arrival_time_s", unit="s")]
-    detail = f"all are predicted to arrive at {arrival_s:.1f} s, within {worst_s:.2f} s"
+    detail = f"all are predicted to arrive at {arrival_s:.1f} s{in_order}, within {worst_s:.2f} s"
     return [Finding("arrival", "", True, detail, value=worst_s, required=ARRIVAL_ERROR_MAX_S, unit="s")]
+
+
+def _rendezvous(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
+    """Return whether those who are to meet on the way are predicted to be there at one time."""
+    by_name = {flight.sortie.name: flight for flight in flights}
+    found = []
+    for meeting in scene.mission.fleet.rendezvous:
+        times: dict[str, float] = {}
+        missed = ""
+        for name, place in meeting.at.items():
+            flight = by_name.get(name)
+            if flight is None:
+                continue
+            point_m = flight.task.route_m[flight.task.places[str(place)]]
+            off_m = np.linalg.norm(np.array([leg.end_m for leg in flight.sortie.legs]) - point_m, axis=1)
+            if not flight.timed or off_m.min() > _MEETING_M:
+                missed = missed or name
+            else:
+                times[name] = float(flight.reached_s[int(np.argmin(off_m))])
+        if missed:
+            detail = f"{meeting.name}: no waypoint of {missed} is there, or its times are not known"
+            found.append(Finding("rendezvous", missed, False, detail, "plan the mission again"))
+        elif len(times) > 1:
+            first, last = min(times, key=lambda n: times[n]), max(times, key=lambda n: times[n])
+            spread_s = times[last] - times[first]
+            ok = spread_s <= 2.0 * ARRIVAL_ERROR_MAX_S
+            detail = f"{meeting.name}: all are predicted there at {times[first]:.1f} s, within {spread_s:.2f} s"
+            if not ok:
+                detail = f"{meeting.name}: {first} is there at {times[first]:.1f} s, {last} at {times[last]:.1f} s"
+            remedy = "" if ok else "plan the mission again"
+            found.append(Finding("rendezvous", "", ok, detail, remedy, spread_s, 2.0 * ARRIVAL_ERROR_MAX_S, unit="s"))
+    return found
 
 
 def _inspection(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -64,6 +64,7 @@ class VehicleTask:
     end: Ending
     limits: VehicleLimits
     motion: MotionModel
+    places: Mapping[str, int]  # what the mission calls the route's points: numbers ("0": its start) and towers
 
     @property
     def off_prediction_m(self) -> float:
@@ -414,8 +415,10 @@ class _Builder:
                     f"of {this.what}: remove one"
                 )
             self._check_no_void(this, following)
-        model = motion_model(vehicle)
-        self._check_takeoff(home, route[0], margins, None if straight_up else model.takeoff_distance_m(0.0, home[2]))
+        model = motion_model(vehicle, self._mission.air_m_s)
+        tail_m_s = _tailwind_m_s(model, route[0].position_m - home)
+        roll_m = None if straight_up else model.takeoff_distance_m(0.0, home[2], tail_m_s)
+        self._check_takeoff(home, route[0], margins, roll_m)
         end = ending(vehicle)
         self._check_level(_Spot(home_what, home), limits)
         if straight_up and end == "land":
@@ -433,6 +436,7 @@ class _Builder:
             end=end,
             limits=limits,
             motion=model,
+            places=self._places(vehicle, len(route)),
         )
 
     def _task_without_route(self, index: int, vehicle: mission.Vehicle) -> VehicleTask:
@@ -447,12 +451,42 @@ class _Builder:
             route_m=np.empty((0, 3)),
             end=ending(vehicle),
             limits=self._limits(vehicle),
-            motion=motion_model(vehicle),
+            motion=motion_model(vehicle, self._mission.air_m_s),
+            places={},
         )
+
+    def _places(self, vehicle: mission.Vehicle, route_points: int) -> dict[str, int]:
+        """Return the route's points before the goal by what the mission calls them.
+
+        Raises
+        ------
+        MissionError
+            A rendezvous of the fleet is at none of them, or not after the one before it.
+        """
+        towers = [name for name, _ in self._inspected(vehicle)]
+        begin = 0  # of what is numbered: a climb to a start elsewhere comes before it
+        if vehicle.start is not None:
+            begin = route_points - (1 + len(vehicle.stops) + len(towers) + 1)
+        places = {str(k): begin + k for k in range(route_points - 1 - begin)}
+        places |= {name: route_points - 1 - len(towers) + k for k, name in enumerate(towers)}
+        last = -1
+        for k, meeting in enumerate(self._mission.fleet.rendezvous):
+            if vehicle.name not in meeting.at:
+                continue
+            what = f"fleet.rendezvous[{k}] ({meeting.name}): {vehicle.name}"
+            place = str(meeting.at[vehicle.name])
+            if place not in places:
+                known = ", ".join(places)
+                raise MissionError(f"{what}: expected a place of its route, one of {known}, got {place}")
+            if places[place] <= last:
+                raise MissionError(f"{what}: expected a place after its rendezvous before, got {place}: reorder them")
+            last = places[place]
+        return places
 
     def _limits(self, vehicle: mission.Vehicle) -> VehicleLimits:
         source, fence = self._mission.terrain, self._mission.fence
         limits = vehicle_limits(vehicle, source.vertical_error_m if isinstance(source, mission.RasterTerrain) else 0.0)
+        limits = replace(limits, wind_max_m_s=self._mission.wind_strongest_m_s)
         if fence is None or fence.top_height_agl_m is None:
             return limits
         return replace(limits, height_agl_max_m=min(limits.height_agl_max_m, fence.top_height_agl_m))
@@ -468,12 +502,20 @@ class _Builder:
         ]
         return [*spots[:-1], *self._tower_stops(index, vehicle), spots[-1]]
 
+    def _inspected(self, vehicle: mission.Vehicle) -> list[tuple[str, int]]:
+        """Return names and places in the line of the towers that a vehicle inspects, in its order."""
+        towers = self._towers
+        if vehicle.inspects is None or towers is None:
+            return []
+        first, last = (towers.names.index(name) for name in (vehicle.inspects.first, vehicle.inspects.last))
+        order = range(first, last + 1) if first <= last else range(first, last - 1, -1)
+        return [(towers.names[i], i) for i in order]
+
     def _tower_stops(self, index: int, vehicle: mission.Vehicle) -> Iterator[_Spot]:
         inspection, towers = self._mission.inspection, self._towers
-        if vehicle.inspects is None or inspection is None or towers is None:
+        if inspection is None or towers is None:
             return
-        first, last = (towers.names.index(name) for name in (vehicle.inspects.first, vehicle.inspects.last))
-        for i in range(first, last + 1) if first <= last else range(first, last - 1, -1):
+        for _, i in self._inspected(vehicle):
             what = f"{_tower(i, inspection.towers[i])}, stop of {_named(index, vehicle)}"
             yield _Spot(what, towers.top_m[i] + np.array([0.0, 0.0, inspection.standoff_m]))
 
@@ -489,7 +531,9 @@ class _Builder:
             return np.array([x, y, z + height])
         aims = [spot.position_m[:2] - home[:2] for spot in after]
         aim = next((a for a in aims if np.linalg.norm(a) > _SAME_PLACE_M), np.array([0.0, 1.0]))
-        far_m = max(height / math.tan(limits.climb_angle_rad), motion_model(vehicle).takeoff_distance_m(height, z))
+        model = motion_model(vehicle, self._mission.air_m_s)
+        far_m = model.takeoff_distance_m(height, z, _tailwind_m_s(model, aim))
+        far_m = max(height / math.tan(limits.climb_angle_rad), far_m)
         across = aim / np.linalg.norm(aim) * far_m
         return np.array([x + across[0], y + across[1], z + height])
 
@@ -639,6 +683,13 @@ def _stay(task: VehicleTask) -> tuple[FloatArray, float]:
     x, y, z = task.home_m
     above_home = np.array([x, y, task.motion.return_alt_amsl_m(task.route_m[-1, 2], z)])
     return (task.route_m[-1] if task.end == "loiter" else above_home), task.motion.loiter_radius_m
+
+
+def _tailwind_m_s(model: MotionModel, way_m: FloatArray) -> float:
+    """Return how fast the air moves along a way; 0 against it: what a headwind spares is not counted on."""
+    across_m = float(math.hypot(way_m[0], way_m[1]))
+    east, north = model.wind_m_s
+    return max(0.0, east * way_m[0] + north * way_m[1]) / across_m if across_m > 0.0 else 0.0
 
 
 def _named(index: int, vehicle: mission.Vehicle, field: str = "") -> str:

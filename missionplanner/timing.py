@@ -1,32 +1,25 @@
-"""When vehicles arrive: predicted flights, arrival windows, a common arrival and its speeds; how far apart they stay.
+"""Where vehicles are when: predicted flights, and how far apart they stay.
 
 All times come from the motion model (:mod:`.motion`), never from length over speed: real vehicles accelerate, slow down
-in corners and look only one leg ahead (PAPER.md eq. 10 with a motion model).
+in corners and look only one leg ahead.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import combinations, pairwise
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import kernel
 from missionplanner.motion import Navigator, Route, landing_points, return_points, takeoff_points
 from missionplanner.plan import Trajectory
 from missionplanner.vehicle import Ending, MotionModel
-
-SPEED_STEP_M_S = 1e-4
-"""Commanded speeds are whole multiples of this."""
-
-ARRIVAL_TOLERANCE_S = 0.05
-"""How close to the time asked for a solved speed brings the predicted arrival."""
 
 _HOVER_S = 5.0
 
@@ -108,116 +101,17 @@ def _outbound(
     return parts, reached_s
 
 
-def arrival_after(model: MotionModel, home_m: npt.ArrayLike, waypoints_m: npt.ArrayLike, speed_m_s: float) -> float:
-    """Return how long after its start a vehicle reaches its last waypoint."""
-    home = np.asarray(home_m, dtype=float)
-    waypoints = np.asarray(waypoints_m, dtype=float).reshape(-1, 3)
-    return float(_outbound(Navigator([model], home[None]), model, home, waypoints, speed_m_s)[1][-1])
-
-
-def arrival_window(
-    model: MotionModel, home_m: npt.ArrayLike, waypoints_m: npt.ArrayLike, speed_min_m_s: float, speed_max_m_s: float
-) -> tuple[float, float]:
-    """Return the earliest and latest arrival after the start (PAPER.md eq. 10, from the motion model).
-
-    The latest is at the least speed. Where short legs cap the speed, a higher speed gains nothing and the window is
-    narrower than length over speed would have it.
-    """
-    slowest = arrival_after(model, home_m, waypoints_m, speed_min_m_s)
-    return min(arrival_after(model, home_m, waypoints_m, speed_max_m_s), slowest), slowest
-
-
-def common_arrival(
-    window_s: Mapping[str, tuple[float, float]],
-    delay_s: Mapping[str, float] | None = None,
-    requested_s: float | None = None,
-) -> float:
-    """Return the time since mission start at which all can arrive: the earliest, or the one requested.
-
-    Parameters
-    ----------
-    window_s : per vehicle, earliest and latest arrival after its own start
-    delay_s : per vehicle, its start after mission start; 0 where missing
-
-    Raises
-    ------
-    InfeasibleError
-        The windows do not meet, or not at the time requested: says who is too slow, who too fast, and what helps.
-    """
-    delay = delay_s or {}
-    earliest = {name: fast + delay.get(name, 0.0) for name, (fast, _) in window_s.items()}
-    latest = {name: slow + delay.get(name, 0.0) for name, (_, slow) in window_s.items()}
-    slow = max(earliest, key=lambda name: earliest[name])
-    fast = min(latest, key=lambda name: latest[name])
-    if earliest[slow] > latest[fast]:
-        raise InfeasibleError(
-            f"no common arrival: {slow} needs at least {earliest[slow]:.1f} s but {fast} cannot take longer than "
-            f"{latest[fast]:.1f} s: start {fast} {earliest[slow] - latest[fast]:.1f} s later, lower its least speed, "
-            f"lengthen its path, or raise {slow}'s greatest speed"
-        )
-    if requested_s is None:
-        return earliest[slow]
-    if requested_s < earliest[slow]:
-        raise InfeasibleError(
-            f"fleet.arrival_time_s: {requested_s:g} s is too early: {slow} needs at least {earliest[slow]:.1f} s; "
-            f"ask for {math.ceil(earliest[slow] * 10) / 10:.1f} to {latest[fast]:.1f} s"
-        )
-    if requested_s > latest[fast]:
-        raise InfeasibleError(
-            f"fleet.arrival_time_s: {requested_s:g} s is too late: {fast} takes at most {latest[fast]:.1f} s; "
-            f"ask for {earliest[slow]:.1f} to {math.floor(latest[fast] * 10) / 10:.1f} s or lower its least speed"
-        )
-    return requested_s
-
-
-def speed_for_arrival(
+def reached_times(
     model: MotionModel,
     home_m: npt.ArrayLike,
     waypoints_m: npt.ArrayLike,
-    arrival_s: float,
-    speed_min_m_s: float,
-    speed_max_m_s: float,
-) -> float:
-    """Return the speed, a multiple of :data:`SPEED_STEP_M_S`, at which the last waypoint is reached at ``arrival_s``.
-
-    ``arrival_s`` counts from the vehicle's own start. Of all speeds tried, the one closest in time: within
-    :data:`ARRIVAL_TOLERANCE_S` inside the arrival window (bisection on the motion model; where the navigator's corners
-    make a jump, the neighbourhood is searched).
-    """
-
-    def lateness(steps: int) -> float:
-        return arrival_after(model, home_m, waypoints_m, steps * SPEED_STEP_M_S) - arrival_s
-
-    low = math.ceil(speed_min_m_s / SPEED_STEP_M_S - 1e-6)
-    high = max(low, math.floor(speed_max_m_s / SPEED_STEP_M_S + 1e-6))
-    tried = {low: lateness(low), high: lateness(high)}
-    if tried[low] > 0.0 > tried[high]:
-        _bisect(lateness, low, high, tried)
-        if min(map(abs, tried.values())) > ARRIVAL_TOLERANCE_S:  # a jump: perhaps the time is also met elsewhere
-            grid = np.unique(np.linspace(low, high, 65).astype(int)).tolist()
-            tried.update({steps: lateness(steps) for steps in grid})
-            for a, b in pairwise(grid):
-                if tried[a] > 0.0 > tried[b] or tried[a] < 0.0 < tried[b]:
-                    _bisect(lateness, a, b, tried)
-    best = min(tried, key=lambda steps: (abs(tried[steps]), steps))
-    return round(best * SPEED_STEP_M_S, 4)
-
-
-def _bisect(lateness: Callable[[int], float], low: int, high: int, tried: dict[int, float]) -> None:
-    """Halve a bracket until a time is met well within the tolerance or no speed is left between its ends."""
-    sign = math.copysign(1.0, tried[low])
-    while high - low > 1:
-        # the secant of time over pace, which is nearly straight, kept away from the ends
-        share = min(0.95, max(0.05, tried[low] / (tried[low] - tried[high])))
-        middle = round(1.0 / ((1.0 - share) / low + share / high))
-        middle = min(high - 1, max(low + 1, middle))
-        tried[middle] = lateness(middle)
-        if abs(tried[middle]) < 0.1 * ARRIVAL_TOLERANCE_S:
-            return
-        if sign * tried[middle] > 0.0:
-            low = middle
-        else:
-            high = middle
+    speed_m_s: npt.ArrayLike,
+    hold_s: npt.ArrayLike | None = None,
+) -> FloatArray:
+    """Return how long after its start a vehicle reaches each waypoint (W,): :func:`predict_flight` without its end."""
+    home = np.asarray(home_m, dtype=float)
+    waypoints = np.asarray(waypoints_m, dtype=float).reshape(-1, 3)
+    return _outbound(Navigator([model], home[None]), model, home, waypoints, speed_m_s, hold_s)[1]
 
 
 # ---------------------------------------------------------------------------------------------------------------------

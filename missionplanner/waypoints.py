@@ -20,6 +20,20 @@ LegsClear = Callable[[FloatArray], npt.NDArray[np.bool_]]
 """Legs (N, 2, 3) in; which of them may be flown (N,) out."""
 
 _EXCLUDED = np.inf
+_AT_STOP_M = 0.01  # coordinates are stored to a millimetre
+
+
+def passes(route_m: FloatArray, waypoints_m: FloatArray) -> list[int]:
+    """Return which waypoints (W, 3) are the points of a route (R, 3), in its order, up to the first one missed."""
+    found: list[int] = []
+    begin = 0
+    for point_m in route_m:
+        near = np.linalg.norm(waypoints_m[begin:] - point_m, axis=1) <= _AT_STOP_M
+        if not near.any():
+            break
+        found.append(begin + int(np.argmax(near)))
+        begin = found[-1] + 1
+    return found
 
 
 def fit_waypoints(
