@@ -212,9 +212,10 @@ def _lose_time(
         return
     if not first and flier.can_wait:
         for _ in range(_HOLDS):  # stopping takes time of its own: perhaps a shorter hold is enough
-            early_s = due_s - course.latest(section)
-            course.holds[begin - 1] = max(0.0, course.holds[begin - 1] + math.ceil(early_s - ARRIVAL_TOLERANCE_S))
-            if -1.0 < due_s - course.latest(section) <= ARRIVAL_TOLERANCE_S:
+            early_s = due_s - course.latest(section) - ARRIVAL_TOLERANCE_S
+            # even where the least hold makes it late: then the next turn waits for it
+            course.holds[begin - 1] = max(1.0, course.holds[begin - 1] + math.ceil(early_s))
+            if -1.0 < early_s <= 0.0:
                 break
         return
     remedies = ["lower its least speed", "raise the others' greatest speeds"]
