@@ -13,12 +13,14 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 Kind = tuple[Literal["ardupilot", "px4"], Literal["copter", "plane"]]
+
+_Model = TypeVar("_Model")
 
 _ROUNDING = 1e-6  # of a value that was single precision once
 
@@ -36,8 +38,9 @@ class Spelling:
 class Parameter:
     """A parameter, and the field of the motion model that it sets; values are in the field's unit.
 
-    The first spelling is the one of the firmware that we simulate. ``sent`` means that a plan sets it on the vehicle:
-    it is never compared.
+    ``field`` leads into parts of the model by dots, and into tuples by numbers: ``px4.velocity_gains.0``. The first
+    spelling is the one of the firmware that we simulate. ``sent`` means that a plan sets it on the vehicle: it is never
+    compared.
     """
 
     field: str
@@ -132,12 +135,33 @@ def fields(kind: Kind, values: Mapping[str, float]) -> dict[str, tuple[str, floa
     return known
 
 
+def value_of(model: object, field: str) -> float:
+    """Return a field of the motion model."""
+    part: Any = model
+    for step in field.split("."):
+        part = part[int(step)] if step.isdigit() else getattr(part, step)
+    return float(part)
+
+
+def with_values(model: _Model, values: Mapping[str, float]) -> _Model:
+    """Return a motion model with other values of some fields."""
+    changes: dict[str, Any] = {}
+    for field, value in values.items():
+        first, _, rest = field.partition(".")
+        before = changes.get(first, getattr(model, first))
+        if rest.isdigit():
+            changes[first] = (*before[: int(rest)], value, *before[int(rest) + 1 :])
+        else:
+            changes[first] = with_values(before, {rest: value}) if rest else value
+    return replace(model, **changes)  # type: ignore[type-var]
+
+
 def held(kind: Kind, model: object) -> dict[str, int | float]:
     """Return the parameters of a motion model, by name and in the autopilot's units, as a vehicle would hold them."""
     values: dict[str, int | float] = {}
     for parameter in _TABLES[kind]:
         spelling = parameter.spellings[0]
-        value = float(np.float32(getattr(model, parameter.field) * spelling.per_unit))
+        value = float(np.float32(value_of(model, parameter.field) * spelling.per_unit))
         values[spelling.name] = round(value) if spelling.whole else value
     return values
 
@@ -158,7 +182,7 @@ def differences(kind: Kind, model: object, values: Mapping[str, float]) -> tuple
     """Return where what a vehicle holds makes it move otherwise than a motion model, beyond single precision."""
     found: list[Difference] = []
     for parameter in _TABLES[kind]:
-        planned = float(getattr(model, parameter.field))
+        planned = value_of(model, parameter.field)
         for spelling in parameter.spellings:
             value = values.get(spelling.name)
             if value is not None and not parameter.sent and not same(value / spelling.per_unit, planned):

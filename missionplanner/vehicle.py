@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from missionplanner.autopilot_parameters import defaults
+from missionplanner.autopilot_parameters import defaults, with_values
 from missionplanner.mission import VehicleSettings
 
 Autopilot = Literal["ardupilot", "px4"]
@@ -116,15 +116,17 @@ _TURN_RADIUS_M: dict[VehicleClass, float] = {"copter": 0.0, "plane": 60.0}
 def motion_model(settings: VehicleSettings) -> MotionModel:
     """Return the navigator's parameters: the mission file's, else the autopilot's defaults."""
     assert settings.parameter_file is None, "with_parameter_files first"
-    values: dict[str, Any] = _PLANE_ASSUMED if settings.vehicle_class == "plane" else {}
+    values = _PLANE_ASSUMED if settings.vehicle_class == "plane" else {}
     values = values | defaults((settings.autopilot, settings.vehicle_class)) | settings.asked_motion()
+    own: dict[str, Any] = {field: value for field, value in values.items() if "." not in field}
     turn_radius_m = _or(settings.turn_radius_m, _TURN_RADIUS_M[settings.vehicle_class])
     model = MotionModel(
         autopilot=settings.autopilot,
         vehicle_class=settings.vehicle_class,
         turn_radius_m=turn_radius_m,
-        **values,
+        **own,
     )
+    model = with_values(model, values)
     return replace(model, loiter_radius_m=max(model.loiter_radius_m, turn_radius_m))
 
 
