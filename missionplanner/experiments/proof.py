@@ -6,8 +6,6 @@ tolerable violation. Results do not depend on how many processes share the work.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import multiprocessing
 import os
@@ -27,7 +25,7 @@ from missionplanner.experiments.proof_samples import SampleOutcome, check_sample
 from missionplanner.experiments.proof_speed import Timing, exponent
 from missionplanner.experiments.proof_trials import LEGS_PER_WORLD, Tally
 from missionplanner.experiments.proof_worlds import real_land
-from missionplanner.files import ensure_writable, replacing, write_atomic
+from missionplanner.files import ensure_writable, replacing, write_atomic, write_csv
 
 Progress = Callable[[str, float], None]
 Part = TypeVar("Part")
@@ -188,19 +186,19 @@ def _write(folder: Path, results: Results) -> None:
     tally = results.tally
     counts = [("made", *item) for item in tally.made.items()]
     counts += [("claims", *item) for item in tally.claims.items()] + [("samples", *s) for s in tally.samples.items()]
-    _write_csv(folder / "soundness.csv", ("what", "of", "count"), counts)
-    _write_csv(
+    write_csv(folder / "soundness.csv", ("what", "of", "count"), counts)
+    write_csv(
         folder / "violations.csv",
         ("trial", "of", "claimed", "seen", "where"),
         [(v.trial, v.of, v.claimed, v.seen, v.where) for v in tally.violations],
     )
-    _write_csv(folder / "tightness.csv", ("below_the_least_found_m",), [(round(v, 4),) for v in results.loose_m])
-    _write_csv(
+    write_csv(folder / "tightness.csv", ("below_the_least_found_m",), [(round(v, 4),) for v in results.loose_m])
+    write_csv(
         folder / "speed.csv",
         ("what", "count", "check_s", "pyramid_s"),
         [(t.what, t.count, round(t.check_s, 4), t.pyramid_s) for t in results.timings],
     )
-    _write_csv(
+    write_csv(
         folder / "mission_files.csv",
         ("file", "over", "outcome", "reason"),
         [(s.file, s.over, s.outcome, s.reason) for s in results.samples],
@@ -208,14 +206,6 @@ def _write(folder: Path, results: Results) -> None:
     write_atomic(folder / "results.md", table(results))
     _draw(folder / "tightness.png", partial(_draw_tightness, results))
     _draw(folder / "speed.png", partial(_draw_speed, results))
-
-
-def _write_csv(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(rows)
-    write_atomic(path, text.getvalue())
 
 
 def table(results: Results) -> str:
