@@ -510,6 +510,7 @@ class _Vehicle(Peer):
         self.recorder = FlightRecorder(
             goal_seq(self.items), plan.waypoints_m[-1], plan.motion.waypoint_radius_m + 1.0, fleet.frame
         )
+        self._due_after_s = fleet.mission.fleet.arrives_after_s(plan.name)
         self.held: tuple[MissionItem, ...] | None = None
         self.current_item: int | None = None
         self._status: Message | None = None
@@ -617,7 +618,12 @@ class _Vehicle(Peer):
     def flown(self) -> FlownVehicle:
         recorder = self.recorder
         return FlownVehicle(
-            self.plan.name, self.plan.sysid, recorder.trajectory(), recorder.arrival_s, recorder.landed_s
+            self.plan.name,
+            self.plan.sysid,
+            recorder.trajectory(),
+            recorder.arrival_s,
+            recorder.landed_s,
+            self._due_after_s,
         )
 
 

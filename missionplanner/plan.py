@@ -121,6 +121,7 @@ class FlownVehicle:
     trajectory: Trajectory
     arrival_s: float | None  # at the goal; None: never arrived
     landed_s: float | None
+    due_after_s: float = 0.0  # how long after the first of the fleet it was due to arrive
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,7 +132,7 @@ class FleetFlight:
 
     @property
     def arrival_spread_s(self) -> float | None:
-        """Latest minus earliest arrival; None when somebody did not arrive."""
-        arrivals = [v.arrival_s for v in self.vehicles]
+        """Latest minus earliest arrival, each less what it was due later; None when somebody did not arrive."""
+        arrivals = [None if v.arrival_s is None else v.arrival_s - v.due_after_s for v in self.vehicles]
         known = [a for a in arrivals if a is not None]
         return max(known) - min(known) if len(known) == len(arrivals) else None

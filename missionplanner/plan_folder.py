@@ -245,7 +245,14 @@ def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
         )
     return FleetFlight(
         tuple(
-            FlownVehicle(v.name, v.sysid, Trajectory(np.array(v.t_s), np.array(v.position_m)), v.arrival_s, v.landed_s)
+            FlownVehicle(
+                v.name,
+                v.sysid,
+                Trajectory(np.array(v.t_s), np.array(v.position_m)),
+                v.arrival_s,
+                v.landed_s,
+                plan.mission.fleet.arrives_after_s(v.name),
+            )
             for v in record.vehicles
         )
     )

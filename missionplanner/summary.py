@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from itertools import groupby
 from typing import Any
 
 from rich import box
 from rich.table import Table
 from rich.text import Text
 
-from missionplanner.certificate import Certificate, Finding
+from missionplanner.certificate import Certificate, Check, Finding
 from missionplanner.flight_check import FlightCheck
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan
 
@@ -24,7 +26,8 @@ def summarise(plan: FleetPlan, flight: FleetFlight | None = None, check: FlightC
             "sysid": vehicle.sysid,
             "length_m": round(vehicle.length_m, 2),
             "waypoints": len(vehicle.waypoints_m),
-            "speed_m_s": vehicle.speed_m_s,
+            "speeds_m_s": _runs(vehicle.speeds_m_s.tolist()),
+            "hold_s": float(vehicle.hold_s.sum()),
             "start_delay_s": vehicle.start_delay_s,
             "window_s": [round(t, 2) for t in vehicle.window_s],
             "arrival_s": round(vehicle.arrival_s, 2),
@@ -38,6 +41,8 @@ def summarise(plan: FleetPlan, flight: FleetFlight | None = None, check: FlightC
         vehicles.append(row)
     fleet: dict[str, Any] = {
         "arrival_s": None if plan.arrival_s is None else round(plan.arrival_s, 2),
+        "rendezvous": [str(f.detail) for f in _findings(plan.certificate, "rendezvous")],
+        "resolutions": [asdict(resolution) for resolution in plan.resolutions],
         "separation": plan.separation and _clearance(plan.separation),
         "clear": all(c.ok for v in plan.vehicles for c in v.clearances) and (not plan.separation or plan.separation.ok),
     }
@@ -76,7 +81,7 @@ def vehicle_table(summary: dict[str, Any]) -> Table:
         cells = [
             row["name"],
             f"{row['length_m']:.0f}",
-            f"{row['speed_m_s']:.2f}",
+            _range(row["speeds_m_s"]),
             f"{row['window_s'][0]:.0f}-{row['window_s'][1]:.0f}",
             f"{row['arrival_s']:.1f}",
         ]
@@ -95,6 +100,8 @@ def fleet_lines(summary: dict[str, Any]) -> list[str]:
     lines = _proof_lines(summary["proof"])
     if fleet["arrival_s"] is not None:
         lines.append(f"common arrival: {fleet['arrival_s']:.1f} s after mission start")
+    lines += [f"rendezvous {told}" for told in fleet["rendezvous"]]
+    lines += [_resolution_line(resolution) for resolution in fleet["resolutions"]]
     if fleet["separation"]:
         lines.append(f"least separation predicted: {_apart(fleet['separation'])}")
     if "flown_clear" not in fleet:
@@ -174,6 +181,25 @@ def _proof_lines(proof: dict[str, Any]) -> list[str]:
     verdict = f"yes{but}" if proof["proven"] else f"NO, {len(problems)} check{'s' if len(problems) > 1 else ''} failed"
     told = [f"  not proven: {problem}" for problem in problems] + [f"  waived: {line}" for line in waived]
     return [f"proven: {verdict}{late}", *told]
+
+
+def _findings(certificate: Certificate | None, check: Check) -> list[Finding]:
+    return [] if certificate is None else [f for f in certificate.findings if f.check == check]
+
+
+def _runs(speeds_m_s: Sequence[float]) -> list[float]:
+    """Return the speeds that are commanded one after the other."""
+    return [speed_m_s for speed_m_s, _ in groupby(speeds_m_s)]
+
+
+def _range(speeds_m_s: Sequence[float]) -> str:
+    low, high = min(speeds_m_s), max(speeds_m_s)
+    return f"{low:.2f}" if low == high else f"{low:.1f}-{high:.1f}"
+
+
+def _resolution_line(resolution: Mapping[str, Any]) -> str:
+    why = f"to keep apart from {resolution['other']} at {resolution['t_s']:.0f} s" if resolution["other"] else ""
+    return f"{resolution['vehicle']} {resolution['detail']} {why}".rstrip()
 
 
 def _clearance(clearance: Clearance) -> dict[str, Any]:

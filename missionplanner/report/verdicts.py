@@ -42,6 +42,7 @@ _CHECK_WORDS: dict[Check, str] = {
     "separation": "separation",
     "lateness": "early or late",
     "arrival": "arrival",
+    "rendezvous": "rendezvous",
     "inspection": "inspection",
 }
 _CHORD_M = 0.5
