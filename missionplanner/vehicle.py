@@ -47,11 +47,12 @@ class MotionModel:
         lowest = home_amsl_m + self.return_height_m
         return max(alt_amsl_m, lowest) if self.vehicle_class == "copter" else lowest
 
-    def takeoff_distance_m(self, height_m: float, home_amsl_m: float) -> float:
+    def takeoff_distance_m(self, height_m: float, home_amsl_m: float, tailwind_m_s: float = 0.0) -> float:
         """Return how far from its home a plane that climbs at its greatest rate has gained a height; 0: lifts off."""
         speed_m_s = self.cruise_speed_m_s * true_airspeed(home_amsl_m + height_m)
-        roll_m = (LIFT_OFF_SHARE * speed_m_s) ** 2 / (2.0 * TAKEOFF_ACCELERATION_M_S2)
-        return roll_m + (height_m / self.climb_rate_m_s + _PULL_UP_S) * speed_m_s
+        lift_off_m_s = LIFT_OFF_SHARE * speed_m_s + tailwind_m_s
+        roll_m = lift_off_m_s**2 / (2.0 * TAKEOFF_ACCELERATION_M_S2)
+        return roll_m + (height_m / self.climb_rate_m_s + _PULL_UP_S) * (speed_m_s + tailwind_m_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +74,8 @@ class VehicleLimits:
     height_agl_max_m: float
     alt_amsl_max_m: float
     endurance_s: float
+    airspeed_max_m_s: float = math.inf  # where the mission file states it
+    wind_max_m_s: float = 0.0  # the strongest wind that is allowed for, from any direction
 
     @property
     def stray_m(self) -> float:
@@ -113,8 +116,11 @@ _PATH_ANGLE_DEG: dict[VehicleClass, float] = {"copter": 60.0, "plane": 12.0}
 _TURN_RADIUS_M: dict[VehicleClass, float] = {"copter": 0.0, "plane": 60.0}
 
 
-def motion_model(settings: VehicleSettings) -> MotionModel:
-    """Return the navigator's parameters: the mission file's, else the autopilot's defaults."""
+def motion_model(settings: VehicleSettings, air_m_s: tuple[float, float] = (0.0, 0.0)) -> MotionModel:
+    """Return the navigator's parameters: the mission file's, else the autopilot's defaults.
+
+    ``air_m_s`` is the velocity of the air, east and north: :attr:`.Mission.air_m_s`.
+    """
     assert settings.parameter_file is None, "with_parameter_files first"
     values = _PLANE_ASSUMED if settings.vehicle_class == "plane" else {}
     values = values | defaults((settings.autopilot, settings.vehicle_class)) | settings.asked_motion()
@@ -124,6 +130,7 @@ def motion_model(settings: VehicleSettings) -> MotionModel:
         autopilot=settings.autopilot,
         vehicle_class=settings.vehicle_class,
         turn_radius_m=turn_radius_m,
+        wind_m_s=air_m_s,
         **own,
     )
     model = with_values(model, values)
@@ -156,6 +163,7 @@ def vehicle_limits(settings: VehicleSettings, vertical_error_m: float) -> Vehicl
         height_agl_max_m=_or(settings.height_agl_max_m, math.inf),
         alt_amsl_max_m=_or(settings.alt_amsl_max_m, math.inf),
         endurance_s=_or(settings.endurance_s, math.inf),
+        airspeed_max_m_s=_or(settings.airspeed_max_m_s, math.inf),
     )
 
 
