@@ -126,11 +126,11 @@ class FlightRecorder:
         if self._start_s is None or not self._boot_s:
             return None
         if self._reached_s is not None and (self._after_s is None or self._reached_s <= self._after_s):
-            return self._flight_time_s(self._reached_s)
+            return self.flight_time_s(self._reached_s)
         track = self.trajectory()
         if self._after_s is not None:
-            after_s = self._flight_time_s(self._after_s)
-            before_s = 0.0 if self._before_s is None else self._flight_time_s(self._before_s)
+            after_s = self.flight_time_s(self._after_s)
+            before_s = 0.0 if self._before_s is None else self.flight_time_s(self._before_s)
             return _closest(track, self._goal_m, before_s, after_s)[0]
         if self.landed:
             at_s, distance_m = _closest(track, self._goal_m, 0.0, math.inf)
@@ -142,7 +142,15 @@ class FlightRecorder:
         """When it touched down after flying, since the common start; None if it did not."""
         if self._landed_s is None or not self._boot_s:
             return None
-        return self._flight_time_s(self._landed_s)
+        return self.flight_time_s(self._landed_s)
+
+    def flight_time_s(self, now_s: float) -> float:
+        """Return an instant of the link's clock as time since the common start in the vehicle's clock."""
+        k = max(bisect_left(self._heard_s, now_s + 1e-9) - 1, 0)
+        boot_s = self._boot_s[k] + (now_s - self._heard_s[k])
+        if k + 1 < len(self._boot_s):
+            boot_s = min(boot_s, self._boot_s[k + 1])
+        return max(boot_s - self._start_boot_s(), 0.0)
 
     def _positioned(self, message: Any, now_s: float) -> None:
         if abs(message.lat) > _LAT_MAX or abs(message.lon) > _LON_MAX:
@@ -194,14 +202,6 @@ class FlightRecorder:
         near = slice(max(k - _ANCHORS, 0), k + _ANCHORS)
         pairs = zip(self._heard_s[near], self._boot_s[near], strict=True)
         return max(boot_s - (heard_s - self._start_s) for heard_s, boot_s in pairs)
-
-    def _flight_time_s(self, now_s: float) -> float:
-        """Return an instant of the link's clock as time since the common start in the vehicle's clock."""
-        k = max(bisect_left(self._heard_s, now_s + 1e-9) - 1, 0)
-        boot_s = self._boot_s[k] + (now_s - self._heard_s[k])
-        if k + 1 < len(self._boot_s):
-            boot_s = min(boot_s, self._boot_s[k + 1])
-        return max(boot_s - self._start_boot_s(), 0.0)
 
 
 def status_text(message: Any) -> str:

@@ -7,6 +7,7 @@ end mark, so a log that was cut short is readable up to the cut
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ _MERGED = "fleet.tlog"
 _OWN_SYSID = 255
 _TEXT_MAX = 50  # bytes of a STATUSTEXT
 _STX2, _STX1 = 0xFD, 0xFE
+_MARKER = re.compile(b"[\xfd\xfe]")
 _SIGNED = 0x01
 _YEAR_2000_US, _YEAR_2200_US = 946_684_800 * 10**6, 7_258_118_400 * 10**6
 
@@ -90,10 +92,13 @@ class FleetLog:
 
 @dataclass(frozen=True, slots=True)
 class TelemetryLog:
-    """What a log holds: messages with their times since 1970, and how many bytes could not be read."""
+    """What a log holds: messages with their times since 1970, and what of it could not be read."""
 
     records: tuple[tuple[float, Any], ...]
-    lost_bytes: int
+    lost_bytes: int  # all that is in no whole, sound frame of a known kind
+    damaged_frames: int = 0  # whole, but of a wrong checksum
+    cut_bytes: int = 0  # of an unfinished record at the end
+    unknown_frames: int = 0  # of kinds that are not known here, whose checksums cannot be told
 
 
 def read_log(path: Path) -> TelemetryLog:
@@ -108,22 +113,51 @@ def read_log(path: Path) -> TelemetryLog:
         data = path.read_bytes()
     except OSError as error:
         raise MissionError(f"{path}: expected a telemetry log, got: {error.strerror or error}") from error
+    log = parse_log(data)
+    if data and not log.records:
+        raise MissionError(f"{path}: expected a telemetry log, got {len(data)} bytes without any MAVLink frame")
+    return log
+
+
+def parse_log(data: bytes) -> TelemetryLog:
+    """Read all whole frames of a log's bytes."""
     parser = mavlink.MAVLink(None)
     records: list[tuple[float, Any]] = []
-    lost = position = 0
+    lost = damaged = unknown = position = end = 0
     while position < len(data):
         length = _record_length(data, position)
         message = _decode(parser, data[position + _STAMP.size : position + length]) if length else None
-        if message is None:
-            lost += 1
-            position += 1
-            continue
-        (stamp_us,) = _STAMP.unpack_from(data, position)
-        records.append((stamp_us / 1e6, message))
-        position += length
-    if data and not records:
-        raise MissionError(f"{path}: expected a telemetry log, got {len(data)} bytes without any MAVLink frame")
-    return TelemetryLog(tuple(records), lost)
+        if message is not None and not _unknown(message):
+            (stamp_us,) = _STAMP.unpack_from(data, position)
+            records.append((stamp_us / 1e6, message))
+            end = position = position + length
+        elif length and _begins(data, position + length):  # what follows shows that it is a record indeed
+            damaged += message is None
+            unknown += message is not None
+            lost += length
+            end = position = position + length
+        else:
+            after = _next_record(data, position)
+            lost += after - position
+            position = after
+    cut = len(data) - end if _begins(data, end) else 0
+    return TelemetryLog(tuple(records), lost, damaged, cut, unknown)
+
+
+def _begins(data: bytes, position: int) -> bool:
+    """Return whether a record may begin there, however short what is left of it; at the very end it may."""
+    stamp = data[position : position + _STAMP.size]
+    if len(stamp) < _STAMP.size:
+        return stamp[:1] in (b"", b"\0")  # the first of a time's eight bytes is 0 for centuries
+    (stamp_us,) = _STAMP.unpack(stamp)
+    marker = data[position + _STAMP.size : position + _STAMP.size + 1]
+    return _YEAR_2000_US < stamp_us < _YEAR_2200_US and marker in (b"", bytes([_STX1]), bytes([_STX2]))
+
+
+def _next_record(data: bytes, position: int) -> int:
+    """Return where, after ``position``, the next record may begin; the end where none does."""
+    found = _MARKER.search(data, position + 1 + _STAMP.size)
+    return len(data) if found is None else found.start() - _STAMP.size
 
 
 def _record_length(data: bytes, position: int) -> int:
@@ -146,8 +180,10 @@ def _record_length(data: bytes, position: int) -> int:
 
 def _decode(parser: Any, frame: bytes) -> Any | None:
     try:
-        message = parser.decode(bytearray(frame))
+        return parser.decode(bytearray(frame))
     except mavlink.MAVError:
         return None
-    # what is of no known kind cannot be checked either
-    return None if message.get_type().startswith("UNKNOWN") else message
+
+
+def _unknown(message: Any) -> bool:
+    return bool(message.get_type().startswith("UNKNOWN"))
