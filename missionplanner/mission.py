@@ -425,6 +425,11 @@ class Fleet(Model):
     lateness_s: NonNegative = Field(
         0.0, description="all keep apart also when any one of them is up to this much early or late"
     )
+    correction: Literal["off", "speed"] = Field(
+        "off",
+        description="speed: while flying, change speeds by command, within speed_m_s, so that all still arrive as "
+        "planned, or as soon as all can; off: only tell who is late",
+    )
     direct_return: Literal["required", "waived"] = Field(
         "required",
         description="whether the straight way home must be clear from every point of the mission; where it cannot be, "

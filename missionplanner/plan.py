@@ -112,6 +112,27 @@ class FleetPlan:
     resolutions: tuple[Resolution, ...] = ()  # in the order in which they were found
 
 
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """A speed that was commanded while flying."""
+
+    vehicle: str
+    t_s: float  # since the fleet's common start
+    from_m_s: float
+    to_m_s: float
+    why: str
+    obeyed: bool  # as the vehicle answered
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lateness:
+    """How late a vehicle was at times (N,): than planned where it was, and when it was predicted to arrive."""
+
+    t_s: FloatArray
+    lateness_s: FloatArray
+    arrival_s: FloatArray
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FlownVehicle:
     """What was recorded of one vehicle: positions over time since the fleet's common start."""
@@ -122,6 +143,7 @@ class FlownVehicle:
     arrival_s: float | None  # at the goal; None: never arrived
     landed_s: float | None
     due_after_s: float = 0.0  # how long after the first of the fleet it was due to arrive
+    lateness: Lateness | None = None  # where it was watched
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,6 +151,7 @@ class FleetFlight:
     """A recorded flight of a fleet plan."""
 
     vehicles: tuple[FlownVehicle, ...]
+    corrections: tuple[Correction, ...] = ()
 
     @property
     def arrival_spread_s(self) -> float | None:

@@ -26,9 +26,11 @@ from missionplanner.path import length_m
 from missionplanner.path_search import PlannedPath
 from missionplanner.plan import (
     Clearance,
+    Correction,
     FleetFlight,
     FleetPlan,
     FlownVehicle,
+    Lateness,
     Resolution,
     Trajectory,
     VehiclePlan,
@@ -92,11 +94,18 @@ class _ResolutionRecord(_Record):
     detail: str
 
 
+class _LatenessRecord(_Record):
+    t_s: tuple[float, ...]
+    lateness_s: tuple[float, ...]
+    arrival_s: tuple[float, ...]
+
+
 class _FlownRecord(_Record):
     name: str
     sysid: int
     arrival_s: float | None
     landed_s: float | None
+    lateness: _LatenessRecord | None = None
     t_s: tuple[float, ...] = Field(min_length=1)
     position_m: tuple[Vector, ...] = Field(min_length=1)
 
@@ -107,11 +116,21 @@ class _FlownRecord(_Record):
         return self
 
 
+class _CorrectionRecord(_Record):
+    vehicle: str
+    t_s: float
+    from_m_s: float
+    to_m_s: float
+    why: str
+    obeyed: bool
+
+
 class _FlightRecord(_Record):
     format: Literal["missionplanner-flight"]
     version: Literal[1]
     unproven: bool = False
     vehicles: tuple[_FlownRecord, ...]
+    corrections: tuple[_CorrectionRecord, ...] = ()
 
 
 class _CertificateRecord(_Record):
@@ -216,15 +235,23 @@ def save_flight(folder: Path, flight: FleetFlight, *, unproven: bool = False) ->
                 "sysid": vehicle.sysid,
                 "arrival_s": vehicle.arrival_s,
                 "landed_s": vehicle.landed_s,
+                "lateness": _lateness(vehicle.lateness),
                 "t_s": np.round(vehicle.trajectory.t_s, 3).tolist(),
                 "position_m": np.round(vehicle.trajectory.position_m, 3).tolist(),
             }
             for vehicle in flight.vehicles
         ],
+        "corrections": [asdict(correction) for correction in flight.corrections],
     }
     path = folder / FLIGHT_NAME
     write_atomic(path, json.dumps(document, allow_nan=False) + "\n")
     return path
+
+
+def _lateness(lateness: Lateness | None) -> dict[str, list[float]] | None:
+    if lateness is None:
+        return None
+    return {name: np.round(getattr(lateness, name), 2).tolist() for name in ("t_s", "lateness_s", "arrival_s")}
 
 
 def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
@@ -252,9 +279,11 @@ def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
                 v.arrival_s,
                 v.landed_s,
                 plan.mission.fleet.arrives_after_s(v.name),
+                v.lateness and Lateness(*map(np.array, (v.lateness.t_s, v.lateness.lateness_s, v.lateness.arrival_s))),
             )
             for v in record.vehicles
-        )
+        ),
+        tuple(Correction(**correction.model_dump()) for correction in record.corrections),
     )
 
 

@@ -1,0 +1,785 @@
+"""Watch and correct: where vehicles are along their plans, when they will arrive, and speeds that bring them together.
+
+Pure: sightings of vehicles in, advice out; the adapters fly by it. What is predicted is the whole flight by the motion
+model, at a multiple of the planned speeds and in the wind that the fleet has felt so far; the time that it takes from a
+place to the goal is what remains. One law makes a correction: all planned arrivals shift by one delay, none while all
+can still make it, else the least that all can make. A speed is commanded only where a vehicle would miss that by more
+than a dead band, and only after all remaining flights, as they would be corrected, were shown to keep apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict, deque
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from missionplanner import timing
+from missionplanner.geodesy import FloatArray
+from missionplanner.motion.state import DRAG, DRAG_SQUARED, LEAN, initial
+from missionplanner.plan import FleetPlan, Trajectory
+from missionplanner.vehicle import Ending, MotionModel, true_airspeed
+
+SPEED_STEP_M_S = 1e-3
+"""Commanded speeds are whole multiples of this."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """When a speed is commanded."""
+
+    period_s: float = 5.0
+    """How often the fleet is thought over."""
+    interval_s: float = 10.0
+    """Least time between two commands to one vehicle: radio links are narrow."""
+    band_s: float = 0.5
+    """A predicted miss below this is none ..."""
+    band_share: float = 0.004
+    """... nor one below this share of what remains: it is left for later."""
+    freeze_s: float = 15.0
+    """Nothing is commanded so shortly before a goal."""
+    stale_s: float = 4.0
+    """Who was not heard for so long is where nobody knows."""
+    lateness_s: float = 3.0
+    """Corrected flights keep apart also when any one of them is so much early or late, if the planned ones do."""
+    tries: int = 3
+    """Commands refused or unanswered in a row before a vehicle is left alone."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Course:
+    """What one vehicle is to fly, and what may be changed of it.
+
+    ``speed_m_s`` (W - 1,) is planned on the legs to the waypoints after the first, ``hold_s`` (W - 1,) the standing
+    still there; a correction scales all speeds alike, within the limits.
+    """
+
+    name: str
+    model: MotionModel
+    home_m: FloatArray  # (3,)
+    waypoints_m: FloatArray  # (W, 3); the first is the top of the take-off
+    speed_m_s: FloatArray
+    hold_s: FloatArray
+    end: Ending
+    planned: Trajectory
+    reached_s: FloatArray  # (W,) planned
+    arrival_s: float  # planned
+    speed_min_m_s: float
+    speed_max_m_s: float
+    latest_s: float = math.inf  # arrival up to which its battery surely lasts
+
+    def speeds(self, factor: float) -> FloatArray:
+        """Return the speeds (W - 1,) commanded when the planned ones are scaled."""
+        speeds: FloatArray = np.clip(factor * self.speed_m_s, self.speed_min_m_s, self.speed_max_m_s)
+        return speeds
+
+    @property
+    def factors(self) -> tuple[float, float]:
+        """The scales at which every leg is flown as slowly, and as fast, as is allowed."""
+        return self.speed_min_m_s / float(self.speed_m_s.max()), self.speed_max_m_s / float(self.speed_m_s.min())
+
+
+def courses(plan: FleetPlan, limits_m_s: Sequence[tuple[float, float]]) -> tuple[Course, ...]:
+    """Return what a plan's vehicles are to fly; ``limits_m_s`` are their least and greatest speeds."""
+    found = []
+    for vehicle, (low, high) in zip(plan.vehicles, limits_m_s, strict=True):
+        found.append(
+            Course(
+                name=vehicle.name,
+                model=vehicle.motion,
+                home_m=vehicle.home_m,
+                waypoints_m=vehicle.waypoints_m,
+                speed_m_s=vehicle.speeds_m_s,
+                hold_s=vehicle.hold_s,
+                end=vehicle.end,
+                planned=vehicle.trajectory,
+                reached_s=vehicle.reached_s,
+                arrival_s=vehicle.arrival_s,
+                speed_min_m_s=low,
+                speed_max_m_s=high,
+            )
+        )
+    return tuple(found)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# Where along its plan a vehicle is, and how late.
+
+
+class Place(NamedTuple):
+    """How far a vehicle has come: on the leg *to* a waypoint (0: the take-off), and which share of that leg."""
+
+    leg: int
+    share: float
+
+
+def place_of(course: Course, waypoint: int, position_m: FloatArray) -> Place:
+    """Return where a vehicle is that flies to ``waypoint``: its projection on that leg alone.
+
+    The leg is what the vehicle says it flies, never the nearest one: paths cross themselves, and come close.
+    """
+    if waypoint >= len(course.waypoints_m):
+        return Place(len(course.waypoints_m), 0.0)
+    shares = _shares(course, waypoint, np.asarray(position_m, dtype=float)[None])
+    return Place(waypoint, float(shares[0]))
+
+
+def _shares(course: Course, leg: int, position_m: FloatArray) -> FloatArray:
+    """Return which share of a leg lies behind each of the positions (N, 3)."""
+    start_m = course.home_m if leg == 0 else course.waypoints_m[leg - 1]
+    way_m = course.waypoints_m[leg] - start_m
+    if leg == 0:
+        way_m = np.array([0.0, 0.0, way_m[2]])  # whoever takes off is as far as it is high
+    squared = float(way_m @ way_m)
+    if squared < 1e-6:
+        return np.ones(len(position_m))
+    shares: FloatArray = np.clip((position_m - start_m) @ way_m / squared, 0.0, 1.0)
+    return shares
+
+
+def times_at(course: Course, flight: Trajectory, reached_s: FloatArray, place: Place) -> tuple[float, float]:
+    """Return when a flight comes to a place, and when it leaves it: later only where it stands still there."""
+    if place.leg >= len(reached_s):
+        return float(reached_s[-1]), math.inf
+    if holds_at(course, place):
+        return float(reached_s[place.leg]), float(reached_s[place.leg] + course.hold_s[place.leg - 1])
+    begin_s = float(flight.t_s[0]) if place.leg == 0 else float(reached_s[place.leg - 1])
+    end_s = float(reached_s[place.leg])
+    first, last = np.searchsorted(flight.t_s, [begin_s, end_s])
+    t_s = np.concatenate([[begin_s], flight.t_s[first:last], [end_s]])
+    shares = np.maximum.accumulate(_shares(course, place.leg, flight.at(t_s)))
+    if shares[-1] <= place.share:
+        return end_s, end_s
+    at = int(np.searchsorted(shares, place.share))
+    until = int(np.searchsorted(shares, place.share, side="right"))
+    if at == 0:
+        return begin_s, float(t_s[max(until - 1, 0)])
+    part = (place.share - shares[at - 1]) / max(shares[at] - shares[at - 1], 1e-12)
+    come_s = float(t_s[at - 1] + part * (t_s[at] - t_s[at - 1]))
+    return come_s, max(come_s, float(t_s[until - 1]))
+
+
+def holds_at(course: Course, place: Place) -> bool:
+    """Whether a vehicle is where its mission holds it: within the radius of that waypoint."""
+    if not 0 < place.leg < len(course.waypoints_m) or course.hold_s[place.leg - 1] <= 0.0:
+        return False
+    length_m = float(np.linalg.norm(course.waypoints_m[place.leg] - course.waypoints_m[place.leg - 1]))
+    return (1.0 - place.share) * length_m <= course.model.waypoint_radius_m
+
+
+def lateness_s(course: Course, place: Place, t_s: float) -> float:
+    """Return how much later than planned a vehicle is at a place; below 0: earlier."""
+    come_s, leave_s = times_at(course, course.planned, course.reached_s, place)
+    return t_s - min(max(t_s, come_s), leave_s)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# The air that the fleet has felt.
+
+
+class Gust(NamedTuple):
+    """A steady motion over ground (east, north) at a known airspeed; ``tight`` false: at no more than that."""
+
+    t_s: float
+    velocity_m_s: tuple[float, float]
+    airspeed_m_s: float
+    tight: bool
+
+
+_AIR_NOISE_M_S = 0.5
+_WIND_SPREAD_M_S = 5.0
+_AIR_MEMORY_S = 900.0
+_WIND_SHARE_MAX = 0.65  # of an airspeed: nobody plans flights in more
+
+
+def steady_wind(felt: Sequence[Gust], expected_m_s: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
+    """Return the wind (east, north) that best explains how vehicles were held up, the least that does.
+
+    Each motion says that ground velocity less wind is as long as the airspeed: a circle on which the wind lies. Least
+    squares over all circles, and towards what was expected, by Gauss-Newton.
+    """
+    wind = np.array(expected_m_s, dtype=float)
+    if not any(gust.tight for gust in felt):
+        return wind
+    velocity = np.array([gust.velocity_m_s for gust in felt])
+    airspeed = np.array([gust.airspeed_m_s for gust in felt])
+    tight = np.array([gust.tight for gust in felt])
+    for _ in range(20):
+        through_air = velocity - wind
+        flown = np.maximum(np.linalg.norm(through_air, axis=1), 1e-6)
+        miss = flown - airspeed
+        counts = tight | (miss > 0.0)
+        slope = -(through_air / flown[:, None])[counts] / _AIR_NOISE_M_S
+        residual = miss[counts] / _AIR_NOISE_M_S
+        normal = slope.T @ slope + np.eye(2) / _WIND_SPREAD_M_S**2
+        gradient = slope.T @ residual + (wind - np.array(expected_m_s)) / _WIND_SPREAD_M_S**2
+        step = np.linalg.solve(normal, gradient)
+        wind = wind - step
+        if float(np.linalg.norm(step)) < 1e-3:
+            break
+    most = _WIND_SHARE_MAX * float(airspeed.min())
+    blown = float(np.linalg.norm(wind))
+    return wind if blown <= most else wind * (most / blown)
+
+
+def airspeed_max_m_s(model: MotionModel, alt_amsl_m: float, speed_m_s: float) -> float:
+    """Return how fast through the air a vehicle that is held up by the wind flies.
+
+    A copter as fast as it may lean, a plane as fast as commanded.
+    """
+    if model.vehicle_class == "plane":
+        return speed_m_s * true_airspeed(alt_amsl_m)
+    row, _ = initial(model, np.zeros(3))
+    squared, linear = float(row[DRAG_SQUARED]), float(row[DRAG])
+    if squared <= 0.0:
+        return float(row[LEAN]) / linear
+    return (math.sqrt(linear**2 + 4.0 * squared * float(row[LEAN])) - linear) / (2.0 * squared)
+
+
+# ---------------------------------------------------------------------------------------------------------------------
+# One vehicle.
+
+
+State = Literal["waiting", "climbing", "flying", "holding", "paused", "away", "unheard", "arrived"]
+"""Waiting: has not left the ground; holding: as its mission wants, paused: as it does not; away: in another mode than
+its mission's; unheard: nobody knows where it is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """What is known of a vehicle. Times are the vehicle's since the common start; ages count from now."""
+
+    t_s: float
+    position_m: FloatArray  # (3,)
+    velocity_m_s: FloatArray  # (3,)
+    waypoint: int  # flown to; the number of waypoints once the goal is reached
+    in_mission: bool  # armed, in the mode that flies missions, and not returning or landing
+    paused: bool = False  # by its own word
+    age_s: float = 0.0  # of position and waypoint
+    arrival_s: float | None = None  # once known
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How one vehicle is doing; arrivals are predicted, at the present, the greatest and the least speed."""
+
+    name: str
+    state: State
+    lateness_s: float | None
+    planned_s: float
+    arrival_s: float | None
+    earliest_s: float | None
+    latest_s: float | None
+    speed_m_s: float | None  # commanded
+    at_s: float | None  # time of the sighting
+
+
+@dataclass(frozen=True, slots=True)
+class Trim:
+    """A speed to command."""
+
+    vehicle: int
+    name: str
+    from_m_s: float
+    to_m_s: float
+    factor: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """How all are doing, by how much all arrive later than planned, what to command, and what an operator should know.
+
+    ``delay_s`` is None where nothing is to be brought together.
+    """
+
+    paces: tuple[Pace, ...]
+    delay_s: float | None
+    wind_m_s: tuple[float, float]
+    trims: tuple[Trim, ...]
+    remarks: tuple[str, ...]
+
+
+@dataclass(slots=True, eq=False)
+class _Tracked:
+    """What is remembered of one vehicle."""
+
+    course: Course
+    seen: Sighting | None = None
+    place: Place | None = None
+    factor: float = 1.0
+    factor_leg: int = 0  # on which it was commanded
+    due_s: float = -math.inf  # no command before
+    lost: bool = False  # the autopilot has forgotten what was commanded
+    failures: int = 0
+    held_s: float | None = None  # since when it holds where its mission wants it
+    moves: deque[tuple[float, int, FloatArray]] = field(default_factory=lambda: deque(maxlen=64))
+    felt: deque[Gust] = field(default_factory=lambda: deque(maxlen=120))
+    ways: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=24))  # taken, predicted (s)
+    before: tuple[float, float, Place] | None = None  # time, factor, place
+    flights: OrderedDict[tuple[float, float, float], tuple[Trajectory, FloatArray]] = field(default_factory=OrderedDict)
+
+    @property
+    def slowness(self) -> float:
+        """Time taken over time predicted, lately; 1 as long as there is little to tell it from."""
+        taken = sum(way[0] for way in self.ways)
+        predicted = sum(way[1] for way in self.ways)
+        return min(max((taken + _TRUSTED_S) / (predicted + _TRUSTED_S), _SLOWNESS[0]), _SLOWNESS[1])
+
+
+_TRUSTED_S = 60.0
+_SLOWNESS = (0.8, 1.5)
+_KEPT_FLIGHTS = 12
+_STILL_M_S = 0.4
+_STILL_S = 4.0
+_STEADY_S = 3.0
+_STEADY_M_S = 0.4
+_HELD_UP_M_S = 0.4
+_GUST_EVERY_S = 5.0
+_FROM_CORNERS_M = 25.0
+_NEAR_S = 0.1  # how well a speed solves for an arrival
+_ELSEWHERE_S = (2.0, 5.0, 10.0, 20.0, -2.0, -5.0, -10.0)  # other delays, where the first is not proven apart
+
+
+class Pacer:
+    """Watches a fleet and advises speeds.
+
+    Parameters
+    ----------
+    courses : of all vehicles of the plan
+    required_m : how far apart vehicles i and j must be
+    together : whether they are to arrive as planned relative to each other; else each at its own time
+    correct : whether speeds may be commanded; else it only tells
+    lateness_s : up to which the mission asks for separation
+    """
+
+    def __init__(
+        self,
+        courses: Sequence[Course],
+        required_m: Callable[[int, int], float],
+        *,
+        together: bool = True,
+        correct: bool = True,
+        lateness_s: float = 0.0,
+        rules: Rules | None = None,
+    ) -> None:
+        self.rules = rules or Rules()
+        self.correct = correct
+        self._required_m = required_m
+        self._together = together
+        self._tracked = [_Tracked(course) for course in courses]
+        self._lateness_s = lateness_s
+        self._slack_s: float | None = None
+        self._wind_m_s = (0.0, 0.0)
+
+    @property
+    def courses(self) -> tuple[Course, ...]:
+        """What the vehicles are to fly."""
+        return tuple(tracked.course for tracked in self._tracked)
+
+    def saw(self, vehicle: int, sighting: Sighting) -> None:
+        """Take note of where a vehicle is; what is older than known is passed over."""
+        tracked = self._tracked[vehicle]
+        before = tracked.seen
+        if before is not None and not before.in_mission and sighting.in_mission and tracked.place is not None:
+            tracked.lost = tracked.place.leg > 0  # whoever enters the mission anew flies at its own default
+        if before is not None and sighting.t_s <= before.t_s:
+            tracked.seen = replace(
+                sighting, t_s=before.t_s, position_m=before.position_m, velocity_m_s=before.velocity_m_s
+            )
+        else:
+            tracked.seen = sighting
+            tracked.moves.append((sighting.t_s, sighting.waypoint, np.array(sighting.velocity_m_s, dtype=float)))
+            self._feel(tracked, sighting)
+        tracked.place = place_of(tracked.course, sighting.waypoint, tracked.seen.position_m)
+        held = holds_at(tracked.course, tracked.place)
+        tracked.held_s = (tracked.seen.t_s if tracked.held_s is None else tracked.held_s) if held else None
+        speeds = tracked.course.speed_m_s
+        leg = tracked.place.leg
+        if 0 < leg <= len(speeds) and tracked.factor_leg > 0 and speeds[leg - 1] != speeds[tracked.factor_leg - 1]:
+            tracked.lost = True  # an item of its mission has set its own speed
+
+    def obeyed(self, trim: Trim, t_s: float) -> None:
+        """Take note that a speed was accepted."""
+        tracked = self._tracked[trim.vehicle]
+        tracked.factor = trim.factor
+        tracked.factor_leg = 0 if tracked.place is None else min(tracked.place.leg, len(tracked.course.speed_m_s))
+        tracked.lost = False
+        tracked.failures = 0
+        tracked.due_s = t_s + self.rules.interval_s
+        tracked.before = None
+
+    def refused(self, trim: Trim, t_s: float) -> bool:
+        """Take note that a speed was refused or not answered; True: this vehicle is now left alone."""
+        tracked = self._tracked[trim.vehicle]
+        tracked.failures += 1
+        tracked.due_s = t_s + self.rules.interval_s
+        return tracked.failures >= self.rules.tries
+
+    def deliberate(self) -> Generator[None, None, Advice]:
+        """Think the fleet over; yields now and then, so that whoever listens to it can go on listening."""
+        wind_m_s = self._wind()
+        if wind_m_s != self._wind_m_s:  # what it explains is not to count once more
+            self._wind_m_s = wind_m_s
+            for tracked in self._tracked:
+                tracked.ways.clear()
+                tracked.before = None
+        paces: list[Pace] = []
+        for tracked in self._tracked:
+            paces.append(self._pace(tracked))
+            yield
+        delays = self._delays(paces)
+        remarks = [self._remark(pace) for pace in paces]
+        trims: tuple[Trim, ...] = ()
+        hindered = next((r for r, p in zip(remarks, paces, strict=True) if r and p.state in ("away", "unheard")), None)
+        if delays is not None and self.correct and hindered is None:
+            trims, problem = yield from self._corrections(paces, delays)
+            remarks.append(problem)
+        delay_s = None if delays is None or not self._together else delays[0]
+        if delay_s is not None:
+            remarks += [_left_behind(pace, delay_s) for pace in paces]
+        return Advice(tuple(paces), delay_s, self._wind_m_s, trims, tuple(r for r in remarks if r))
+
+    # -- the vehicles -----------------------------------------------------------------------------------------------
+
+    def _state(self, tracked: _Tracked) -> State:
+        seen, place = tracked.seen, tracked.place
+        if seen is None or place is None:
+            return "unheard"
+        if place.leg >= len(tracked.course.waypoints_m) or seen.arrival_s is not None:
+            return "arrived"
+        if seen.age_s > self.rules.stale_s:
+            return "unheard"
+        if place.leg == 0 and place.share < 0.02:
+            return "waiting"
+        if not seen.in_mission:
+            return "away"
+        if place.leg == 0:
+            return "climbing"
+        if tracked.held_s is not None:
+            return "holding"
+        return "paused" if seen.paused or self._stands(tracked) else "flying"
+
+    def _stands(self, tracked: _Tracked) -> bool:
+        """Whether a vehicle has stood still for some time."""
+        if tracked.course.model.vehicle_class == "plane":
+            return False
+        last_s = tracked.moves[-1][0]
+        recent = [move for move in tracked.moves if move[0] >= last_s - _STILL_S]
+        if last_s - recent[0][0] < 0.8 * _STILL_S:
+            return False
+        return all(float(np.linalg.norm(velocity)) < _STILL_M_S for _, _, velocity in recent)
+
+    def _pace(self, tracked: _Tracked) -> Pace:
+        course, seen, state = tracked.course, tracked.seen, self._state(tracked)
+        if seen is None or tracked.place is None:
+            return Pace(course.name, state, None, course.arrival_s, None, None, None, None, None)
+        speed_m_s = None
+        if 0 < tracked.place.leg <= len(course.speed_m_s) and not tracked.lost:
+            speed_m_s = float(course.speeds(tracked.factor)[tracked.place.leg - 1])
+        if state == "arrived":
+            at_s = seen.t_s if seen.arrival_s is None else seen.arrival_s
+            return Pace(course.name, state, at_s - course.arrival_s, course.arrival_s, at_s, at_s, at_s, None, seen.t_s)
+        low, high = course.factors
+        if state == "flying":
+            self._learn(tracked)
+        else:
+            tracked.before = None
+        present_s = self._arrival_s(tracked, tracked.factor)
+        if present_s - seen.t_s <= self.rules.freeze_s or tracked.failures >= self.rules.tries:
+            earliest_s = latest_s = present_s
+        else:
+            earliest_s = min(present_s, self._arrival_s(tracked, high))
+            latest_s = max(present_s, min(self._arrival_s(tracked, low), course.latest_s))
+        late_s = lateness_s(course, tracked.place, seen.t_s)
+        return Pace(course.name, state, late_s, course.arrival_s, present_s, earliest_s, latest_s, speed_m_s, seen.t_s)
+
+    def _learn(self, tracked: _Tracked) -> None:
+        """Compare the time that passed since the last look with what the model takes for the same way."""
+        assert tracked.seen is not None
+        assert tracked.place is not None
+        before = tracked.before
+        tracked.before = now = (tracked.seen.t_s, tracked.factor, tracked.place)
+        if before is None or before[1] != now[1] or before[0] + 0.5 * self.rules.period_s > now[0]:
+            return
+        flight, reached_s = self._flight(tracked, tracked.factor)
+        _, begin_s = times_at(tracked.course, flight, reached_s, before[2])
+        end_s, _ = times_at(tracked.course, flight, reached_s, now[2])
+        if end_s > begin_s:
+            tracked.ways.append((now[0] - before[0], end_s - begin_s))
+
+    def _flight(self, tracked: _Tracked, factor: float) -> tuple[Trajectory, FloatArray]:
+        """Return the whole flight at scaled speeds in the air as it is known, from its own start."""
+        key = (factor, *self._wind_m_s)
+        found = tracked.flights.get(key)
+        if found is None:
+            course = tracked.course
+            found = timing.predict_flight(
+                replace(course.model, wind_m_s=self._wind_m_s),
+                course.home_m,
+                course.waypoints_m,
+                course.speeds(factor),
+                hold_s=course.hold_s,
+                end=course.end,
+                ground_amsl_m=float(course.planned.position_m[-1, 2]),
+            )
+            tracked.flights[key] = found
+            while len(tracked.flights) > _KEPT_FLIGHTS:
+                tracked.flights.popitem(last=False)
+        tracked.flights.move_to_end(key)
+        return found
+
+    def _arrival_s(self, tracked: _Tracked, factor: float) -> float:
+        assert tracked.seen is not None
+        flight, reached_s = self._flight(tracked, factor)
+        remaining_s = float(reached_s[-1]) - self._now_in_s(tracked, flight, reached_s)
+        return tracked.seen.t_s + tracked.slowness * max(remaining_s, 0.0)
+
+    def _now_in_s(self, tracked: _Tracked, flight: Trajectory, reached_s: FloatArray) -> float:
+        """Return when a flight is where the vehicle is now."""
+        assert tracked.seen is not None
+        assert tracked.place is not None
+        come_s, leave_s = times_at(tracked.course, flight, reached_s, tracked.place)
+        if tracked.held_s is None:
+            return leave_s
+        return min(come_s + tracked.seen.t_s - tracked.held_s, leave_s)
+
+    def _ahead(self, tracked: _Tracked, factor: float) -> Trajectory:
+        """Return the rest of the flight, to its end, from where the vehicle is now."""
+        assert tracked.seen is not None
+        assert tracked.place is not None
+        flight, reached_s = self._flight(tracked, factor)
+        if tracked.place.leg >= len(tracked.course.waypoints_m):
+            at_s = tracked.seen.t_s if tracked.seen.arrival_s is None else tracked.seen.arrival_s
+            begin_s = float(reached_s[-1]) + max(tracked.seen.t_s - at_s, 0.0)
+            slowness = 1.0
+        else:
+            begin_s = self._now_in_s(tracked, flight, reached_s)
+            slowness = tracked.slowness
+        later = flight.t_s > begin_s
+        t_s = tracked.seen.t_s + slowness * (np.concatenate([[begin_s], flight.t_s[later]]) - begin_s)
+        return Trajectory(t_s, np.concatenate([flight.at(begin_s)[None], flight.position_m[later]]))
+
+    def _factor_for(self, tracked: _Tracked, arrival_s: float) -> float:
+        """Return the scale of the planned speeds at which a vehicle arrives closest to a time."""
+        low, high = tracked.course.factors
+        late, early = self._arrival_s(tracked, low) - arrival_s, self._arrival_s(tracked, high) - arrival_s
+        if late <= 0.0:
+            return low
+        if early >= 0.0:
+            return high
+        best = min((abs(late), low), (abs(early), high))
+        for _ in range(12):
+            # the secant of time over pace, which is nearly straight, kept away from the ends
+            share = min(0.95, max(0.05, late / (late - early)))
+            factor = 1.0 / ((1.0 - share) / low + share / high)
+            miss = self._arrival_s(tracked, factor) - arrival_s
+            best = min(best, (abs(miss), factor))
+            if abs(miss) < _NEAR_S:
+                break
+            if miss > 0.0:
+                low, late = factor, miss
+            else:
+                high, early = factor, miss
+        return best[1]
+
+    # -- the air ----------------------------------------------------------------------------------------------------
+
+    def _wind(self) -> tuple[float, float]:
+        expected = self._tracked[0].course.model.wind_m_s
+        wind = steady_wind([gust for tracked in self._tracked for gust in tracked.felt], expected)
+        # in steps, so that flights predicted before can be used again
+        near = np.abs(wind - np.array(self._wind_m_s)) < 0.15
+        east, north = np.where(near, self._wind_m_s, np.round(wind, 1))
+        return float(east), float(north)
+
+    def _feel(self, tracked: _Tracked, seen: Sighting) -> None:
+        """Take note of a steady motion in the middle of a leg."""
+        course, leg = tracked.course, seen.waypoint
+        if not (seen.in_mission and 0 < leg < len(course.waypoints_m)) or tracked.lost or seen.paused:
+            return
+        if tracked.felt and seen.t_s < tracked.felt[-1].t_s + _GUST_EVERY_S:
+            return
+        recent = [move for move in tracked.moves if move[0] >= seen.t_s - _STEADY_S]
+        if seen.t_s - recent[0][0] < 0.7 * _STEADY_S or any(move[1] != leg for move in recent):
+            return
+        velocity = np.array([move[2][:2] for move in recent])
+        mean = velocity.mean(axis=0)
+        if float(np.abs(velocity - mean).max()) > _STEADY_M_S:
+            return
+        from_m, to_m = course.waypoints_m[leg - 1], course.waypoints_m[leg]
+        if min(math.dist(seen.position_m[:2], from_m[:2]), math.dist(seen.position_m[:2], to_m[:2])) < _FROM_CORNERS_M:
+            return
+        commanded = float(course.speeds(tracked.factor)[leg - 1])
+        model = course.model
+        rise_m = float(to_m[2] - from_m[2])
+        level_m = math.dist(from_m[:2], to_m[:2])
+        rate_m_s = model.climb_rate_m_s if rise_m > 0.0 else model.descent_rate_m_s
+        expected = commanded if rise_m == 0.0 else min(commanded, rate_m_s * level_m / abs(rise_m))
+        airspeed = airspeed_max_m_s(model, float(seen.position_m[2]), commanded)
+        speed = float(np.hypot(*mean))
+        if speed < 2.0 * _STILL_M_S:
+            return
+        plane = model.vehicle_class == "plane"
+        tight = plane or speed < min(expected, airspeed) - _HELD_UP_M_S
+        tracked.felt.append(Gust(seen.t_s, (float(mean[0]), float(mean[1])), airspeed, tight))
+        while tracked.felt[0].t_s < seen.t_s - _AIR_MEMORY_S:
+            tracked.felt.popleft()
+
+    # -- the fleet --------------------------------------------------------------------------------------------------
+
+    def _delays(self, paces: Sequence[Pace]) -> list[float] | None:
+        """Return by how much each shall arrive later than planned; None: nobody is left to be brought together."""
+        taking_part = [p for p in paces if p.arrival_s is not None and p.state not in ("away", "unheard")]
+        flying = [p for p in taking_part if p.state != "arrived"]
+        if not flying:
+            return None
+        if not self._together:
+            windows = [(_less(p.earliest_s, p), _less(p.latest_s, p)) for p in paces]
+            return [common_delay([window]) for window in windows]
+        fixed = [p for p in taking_part if p.earliest_s == p.latest_s]
+        free = [(_less(p.earliest_s, p), _less(p.latest_s, p)) for p in flying if p not in fixed]
+        wanted = sum(_less(p.arrival_s, p) for p in fixed) / len(fixed) if fixed else 0.0
+        return [common_delay(free, wanted)] * len(paces)
+
+    def _corrections(
+        self, paces: Sequence[Pace], delays: Sequence[float]
+    ) -> Generator[None, None, tuple[tuple[Trim, ...], str]]:
+        """Return the speeds to command, all remaining flights under them proven apart, or what stands against it."""
+        ready = [k for k, pace in enumerate(paces) if self._may_trim(k, pace)]
+        wanting = [k for k in ready if self._misses(paces[k], delays[k]) or self._tracked[k].lost]
+        if not wanting:
+            return (), ""
+        needed_s = self._needed_slack_s()
+        problem = ""
+        for shift_s in (0.0, *_ELSEWHERE_S):
+            factors: dict[int, float] = {}
+            for k in wanting if shift_s == 0.0 else ready:
+                factors[k] = self._factor_for(self._tracked[k], _target_s(paces[k], delays[k] + shift_s))
+                yield
+            tight = self._too_close(factors, needed_s)
+            if tight is None:
+                trims = [self._trim(k, factors[k], paces[k], delays[k] + shift_s) for k in factors]
+                return tuple(trim for trim in trims if trim is not None), problem
+            if not problem:
+                problem = f"arriving {delays[wanting[0]]:+.0f} s from the plan would bring {tight}"
+        return (), f"{problem}, and so would what was tried instead: speeds are left as they are"
+
+    def _may_trim(self, k: int, pace: Pace) -> bool:
+        tracked = self._tracked[k]
+        return (
+            pace.state == "flying"
+            and tracked.failures < self.rules.tries
+            and pace.at_s is not None
+            and pace.at_s >= tracked.due_s
+            and pace.arrival_s is not None
+            and pace.arrival_s - pace.at_s > self.rules.freeze_s
+        )
+
+    def _misses(self, pace: Pace, delay_s: float) -> bool:
+        assert pace.arrival_s is not None
+        assert pace.at_s is not None
+        band_s = max(self.rules.band_s, self.rules.band_share * (pace.arrival_s - pace.at_s))
+        return abs(pace.arrival_s - _target_s(pace, delay_s)) > band_s
+
+    def _trim(self, k: int, factor: float, pace: Pace, delay_s: float) -> Trim | None:
+        tracked = self._tracked[k]
+        assert tracked.place is not None
+        assert pace.arrival_s is not None
+        leg = tracked.place.leg - 1
+        course = tracked.course
+        now_m_s = float(course.speeds(tracked.factor)[leg])
+        then_m_s = round(float(course.speeds(factor)[leg]) / SPEED_STEP_M_S) * SPEED_STEP_M_S
+        then_m_s = min(max(then_m_s, course.speed_min_m_s), course.speed_max_m_s)
+        if abs(then_m_s - now_m_s) < 2.0 * SPEED_STEP_M_S and not tracked.lost:
+            return None
+        miss_s = pace.arrival_s - _target_s(pace, delay_s)
+        why = f"would arrive {abs(miss_s):.1f} s {'late' if miss_s > 0.0 else 'early'}"
+        if abs(delay_s) >= 0.5:
+            why += f"; all {abs(delay_s):.0f} s {'later' if delay_s > 0.0 else 'earlier'} than planned"
+        if tracked.lost:
+            why = "flies at a speed of its own again"
+        return Trim(k, course.name, now_m_s, then_m_s, factor, why)
+
+    def _needed_slack_s(self) -> float:
+        """Return how early or late any one may be in corrected flights.
+
+        What the mission asks for; and a few seconds, unless the planned flights leave less.
+        """
+        if self._slack_s is None:
+            slacks = timing.least_slack(
+                [tracked.course.planned for tracked in self._tracked], self._required_m, self.rules.lateness_s
+            )
+            self._slack_s = slacks[0].slack_s if slacks else self.rules.lateness_s
+        return max(self._lateness_s, min(self.rules.lateness_s, 0.9 * self._slack_s))
+
+    def _too_close(self, factors: Mapping[int, float], needed_s: float) -> str | None:
+        """Return who would come too close to whom under new scales; None: all keep apart, with room in time."""
+        flights: list[Trajectory] = []
+        whose: list[int] = []
+        for k, tracked in enumerate(self._tracked):
+            if tracked.seen is None:
+                continue
+            whose.append(k)
+            flights.append(self._ahead(tracked, factors.get(k, tracked.factor)))
+            if self._state(tracked) in ("waiting", "paused"):  # and nobody knows for how long
+                whose.append(k)
+                position_m = np.array(tracked.seen.position_m, dtype=float)
+                flights.append(Trajectory(np.array([tracked.seen.t_s]), position_m[None]))
+        for one, other in combinations(range(len(flights)), 2):
+            i, j = whose[one], whose[other]
+            if i == j:
+                continue
+            required_m = self._required_m(i, j)
+            slack_s = timing.lateness_slack(flights[one], flights[other], required_m, needed_s)
+            if slack_s < needed_s - 1e-9 or slack_s <= 0.0:
+                names = [self._tracked[k].course.name for k in (i, j)]
+                return f"{names[0]} and {names[1]} within {required_m:g} m ({slack_s:.1f} s from it, of {needed_s:.1f})"
+        return None
+
+    def _remark(self, pace: Pace) -> str:
+        match pace.state:
+            case "away":
+                return (
+                    f"{pace.name} has left its mission: no speeds are commanded, "
+                    "for its way home was proven against the planned flights"
+                )
+            case "unheard":
+                return f"{pace.name} is not heard: no speeds are commanded"
+            case "paused":
+                return f"{pace.name} stands still"
+            case _:
+                return ""
+
+
+def _left_behind(pace: Pace, delay_s: float) -> str:
+    if pace.state != "flying" or pace.latest_s is None or pace.latest_s >= pace.planned_s + delay_s - 1.0:
+        return ""
+    return f"{pace.name} arrives {pace.planned_s + delay_s - pace.latest_s:.0f} s before the others at its least speed"
+
+
+def _target_s(pace: Pace, delay_s: float) -> float:
+    """Return when a vehicle shall arrive: with the others, as far as it can."""
+    assert pace.earliest_s is not None
+    assert pace.latest_s is not None
+    return min(max(pace.planned_s + delay_s, pace.earliest_s), pace.latest_s)
+
+
+def _less(at_s: float | None, pace: Pace) -> float:
+    return 0.0 if at_s is None else at_s - pace.planned_s
+
+
+def common_delay(windows_s: Sequence[tuple[float, float]], wanted_s: float = 0.0) -> float:
+    """Return the delay nearest to the one wanted that lies within all windows (earliest, latest); else the earliest.
+
+    Where the windows do not meet, nobody waits for those who cannot wait: it is the least that all can make.
+    """
+    if not windows_s:
+        return wanted_s
+    earliest = max(window[0] for window in windows_s)
+    latest = min(window[1] for window in windows_s)
+    return max(earliest, min(wanted_s, latest))
