@@ -33,6 +33,7 @@ from adapters.mission_protocol import MissionUpload, Party, mismatches
 from adapters.parameter_protocol import mismatch
 from adapters.return_settings import Setting, return_settings
 from adapters.telemetry_log import FleetLog
+from adapters.vehicle_parameters import Comparison, compared, reading_motion
 from missionplanner.errors import LinkError
 from missionplanner.geodesy import FloatArray, GeoPoint
 from missionplanner.plan import FleetFlight, FleetPlan, FlownVehicle, VehiclePlan
@@ -183,6 +184,19 @@ class FleetLink:
         for vehicle in self._vehicles.values():
             vehicle.check_identity()
 
+    def compare_parameters(self) -> tuple[Comparison, ...]:
+        """Read the parameters that decide how each vehicle moves, and compare them with what it was planned with.
+
+        Raises
+        ------
+        LinkError
+            A vehicle does not answer; nothing was changed.
+        """
+        found: dict[int, Comparison] = {}
+        goings = {sysid: self._comparing(vehicle, found) for sysid, vehicle in self._vehicles.items()}
+        self._station.together(goings, after_failure="nothing was uploaded")
+        return tuple(found[sysid] for sysid in self._vehicles)
+
     def upload(self, progress: TransferProgress | None = None) -> None:
         """Give every vehicle its mission, all at the same time.
 
@@ -316,6 +330,11 @@ class FleetLink:
         )
 
     # what goes on with one vehicle, each a generator that yields whenever it waits
+
+    def _comparing(self, vehicle: _Vehicle, found: dict[int, Comparison]) -> Steps:
+        plan = vehicle.plan
+        held = yield from reading_motion(self._station, vehicle, plan.autopilot, plan.vehicle_class)
+        found[plan.sysid] = compared(plan.name, plan.motion, held)
 
     def _uploading(self, vehicle: _Vehicle, progress: TransferProgress | None) -> Steps:
         upload = vehicle.upload

@@ -17,7 +17,7 @@ from adapters.command_protocol import Command
 from adapters.endpoint import Endpoint
 from adapters.mission_items import MissionItem
 from adapters.mission_protocol import MissionDownload, MissionUpload, Party
-from adapters.parameter_protocol import ParameterRead, ParameterSet, ParameterValue
+from adapters.parameter_protocol import ParameterList, ParameterRead, ParameterSet, ParametersRead, ParameterValue
 from adapters.pymavlink_link import PymavlinkLink
 from adapters.return_settings import Setting
 from adapters.telemetry_log import FleetLog
@@ -85,7 +85,7 @@ class Peer:
         self.upload: MissionUpload | None = None
         self.download: MissionDownload | None = None
         self.command: Command | None = None
-        self.parameter: ParameterRead | ParameterSet | None = None
+        self.parameter: ParameterRead | ParametersRead | ParameterList | ParameterSet | None = None
         self._refusal: LinkError | None = None
 
     @property
@@ -281,6 +281,32 @@ class Station(Generic[AnyPeer]):
         peer.parameter = read
         while not read.done:
             self.send(peer, read.poll(self.clock.now_s()))
+            yield
+        peer.parameter = None
+        return read.held
+
+    def reading_many(
+        self, peer: Peer, autopilot: Autopilot, groups: Sequence[Sequence[str]]
+    ) -> Waiting[list[ParameterValue | None]]:
+        """Read parameters, each by the names that firmware gives it; None for one that does not exist."""
+        read = ParametersRead(peer.party, autopilot, groups)
+        peer.parameter = read
+        while not read.done:
+            self.send(peer, read.poll(self.clock.now_s()))
+            yield
+        peer.parameter = None
+        return read.held
+
+    def listing(
+        self, peer: Peer, autopilot: Autopilot, tell: Callable[[int, int], None] = lambda done, total: None
+    ) -> Waiting[dict[str, ParameterValue]]:
+        """Read all parameters there are, by name; ``tell`` hears how many of how many have come."""
+        read = ParameterList(peer.party, autopilot)
+        peer.parameter = read
+        while not read.done:
+            self.send(peer, read.poll(self.clock.now_s()))
+            if read.total is not None:
+                tell(read.read, read.total)
             yield
         peer.parameter = None
         return read.held

@@ -12,10 +12,13 @@ The rules (https://mavlink.io/en/services/parameter.html, and what real autopilo
 4. Integers travel as numbers (ArduPilot) or by their bytes (PX4) in the same 32-bit float.
 5. Only the target's autopilot counts. PARAM_VALUE is addressed to nobody: an answer to another ground station is as
    true as one to us.
+6. Many may be asked for at once, but no more than a vehicle queues (ArduPilot: 20; what comes beyond is lost in
+   silence). PARAM_REQUEST_LIST is answered by a stream of all; what is lost of it is asked for by index.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 import struct
 from collections.abc import Sequence
@@ -35,7 +38,10 @@ _RETRY_S = 0.7
 _PATIENCE_S = 14.0  # 20 tries: at 40 % loss each way, one read in 7,000 is given up
 _WITNESSED_PATIENCE_S = 60.0
 _WITNESSES = 12  # answers about the witness that prove an absence: at 40 % loss, wrong once in 10^6
-_BY_INDEX = -1  # means: by name
+_BY_NAME = -1  # instead of an index
+_AT_ONCE = 16  # requests: ArduPilot queues 20
+_STREAM_SILENCE_S = 1.5  # after which a stream of parameters has ended, or never begun
+_NO_INDEX = 65_535  # of what is no part of the list: PX4's hash of it, ArduPilot's answers by name
 
 _REAL32 = int(mavlink.MAV_PARAM_TYPE_REAL32)
 _INTEGERS: dict[int, str] = {
@@ -205,6 +211,192 @@ class ParameterRead:
         return " or ".join(self._names)
 
 
+class ParametersRead:
+    """Many parameters, asked for by name, several at once, until each is answered or proven to be absent.
+
+    ``groups`` has for each what different firmware calls it: the first that is answered is it. ``held`` then has them
+    in that order, None where there is none. The first to be answered is the witness for the absence of others.
+    """
+
+    def __init__(
+        self,
+        party: Party,
+        autopilot: Autopilot,
+        groups: Sequence[Sequence[str]],
+        *,
+        retry_s: float = _RETRY_S,
+        patience_s: float = _PATIENCE_S,
+    ) -> None:
+        self.held: list[ParameterValue | None] = [None] * len(groups)
+        self._party = party
+        self._autopilot = autopilot
+        self._groups = [tuple(names) for names in groups]
+        self._place = {name: k for k, names in enumerate(self._groups) for name in names}
+        self._open = list(range(len(groups)))  # in the order in which they are asked for
+        self._asked: list[int] = []
+        self._unknown: set[str] = set()
+        self._witness: str | None = None
+        self._witness_due = False
+        self._witnessed = [0] * len(groups)
+        self._retry_s = retry_s
+        self._patience_s = patience_s
+        self._due_s = -math.inf
+        self._give_up_s = math.inf
+        self._refusal: LinkError | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is open."""
+        return not self._open
+
+    def poll(self, now_s: float) -> list[Message]:
+        """Ask for the next few once those asked for are answered, and again for others when it is time.
+
+        Raises
+        ------
+        LinkError
+            No answers any more, or a type that is unknown.
+        """
+        if self._refusal is not None:
+            raise self._refusal
+        if self.done or now_s < self._due_s:
+            return []
+        if not self._asked:
+            self._give_up_s = now_s + self._patience_s
+        elif now_s >= self._give_up_s:
+            names = " or ".join(self._groups[self._open[0]])
+            raise self._party.error(f"expected parameter {names}, got no answer any more: the link is bad")
+        self._due_s = now_s + self._retry_s
+        # those asked for in vain go to the end of the line
+        self._open.sort(key=self._asked.__contains__)
+        names_asked: list[str] = []
+        self._asked = []
+        for k in self._open:
+            if len(names_asked) + len(self._groups[k]) >= _AT_ONCE:
+                break
+            names_asked += self._groups[k]
+            self._asked.append(k)
+        if self._witness is not None:
+            names_asked.append(self._witness)
+            self._witness_due = True
+        return [read_message(self._party, name) for name in names_asked]
+
+    def receive(self, message: Message, now_s: float) -> None:
+        """Take one message from anywhere; the vehicle's word on these parameters counts."""
+        if self.done or not self._asked or not _speaks(self._party, message):
+            return
+        name = parameter_name(message)
+        k = self._place.get(name)
+        if k is None:
+            return
+        if message.get_type() == "PARAM_ERROR":
+            if message.error == mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST:
+                self._unknown.add(name)
+                if self._unknown.issuperset(self._groups[k]):
+                    self._close(k)
+        elif k in self._open:
+            try:
+                value = from_wire(message.param_value, message.param_type, self._autopilot)
+            except ValueError as error:
+                self._refusal = self._party.error(f"parameter {name}: {error}")
+                return
+            self.held[k] = ParameterValue(name, value, int(message.param_type))
+            self._witness = self._witness or name
+            self._give_up_s = now_s + self._patience_s
+            self._close(k)
+        elif name == self._witness and self._witness_due:
+            self._witness_due = False  # one for each time that was asked, however often it is doubled
+            self._give_up_s = now_s + self._patience_s
+            self._due_s = -math.inf
+            for k in [k for k in self._open if k in self._asked]:
+                self._witnessed[k] += 1
+                if self._witnessed[k] >= _WITNESSES:
+                    self._close(k)
+
+    def _close(self, k: int) -> None:
+        if k in self._open:
+            self._open.remove(k)
+        if not set(self._asked).intersection(self._open):
+            self._due_s = -math.inf
+
+
+class ParameterList:
+    """All parameters of a vehicle: ``held`` has them by name once ``done``, ``total`` how many there are."""
+
+    def __init__(
+        self,
+        party: Party,
+        autopilot: Autopilot,
+        *,
+        silence_s: float = _STREAM_SILENCE_S,
+        patience_s: float = _PATIENCE_S,
+    ) -> None:
+        self.held: dict[str, ParameterValue] = {}
+        self.total: int | None = None
+        self._party = party
+        self._autopilot = autopilot
+        self._silence_s = silence_s
+        self._patience_s = patience_s
+        self._read: set[int] = set()
+        self._asked: list[int] = []
+        self._due_s = -math.inf
+        self._give_up_s: float | None = None
+        self._refusal: LinkError | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether none is missing."""
+        return self.total is not None and len(self._read) >= self.total
+
+    @property
+    def read(self) -> int:
+        """How many have come."""
+        return len(self._read)
+
+    def poll(self, now_s: float) -> list[Message]:
+        """Ask for the stream; once it has ended, for what is missing of it.
+
+        Raises
+        ------
+        LinkError
+            No answers any more, or a type that is unknown.
+        """
+        if self._refusal is not None:
+            raise self._refusal
+        if self.done or now_s < self._due_s:
+            return []
+        if self._give_up_s is None:
+            self._give_up_s = now_s + self._patience_s
+        elif now_s >= self._give_up_s:
+            got = "none" if self.total is None else f"{self.read} of {self.total}"
+            raise self._party.error(f"expected all its parameters, got {got}: the link is bad")
+        self._due_s = now_s + self._silence_s
+        party = self._party
+        if self.total is None:
+            return [mavlink.MAVLink_param_request_list_message(party.sysid, AUTOPILOT_COMPONENT)]
+        self._asked = list(itertools.islice((k for k in range(self.total) if k not in self._read), _AT_ONCE))
+        component = AUTOPILOT_COMPONENT
+        return [mavlink.MAVLink_param_request_read_message(party.sysid, component, b"", k) for k in self._asked]
+
+    def receive(self, message: Message, now_s: float) -> None:
+        """Take one message from anywhere; the vehicle's parameters count."""
+        if self.done or self._give_up_s is None or not _speaks(self._party, message):
+            return
+        if message.get_type() != "PARAM_VALUE" or message.param_index == _NO_INDEX:
+            return
+        name = parameter_name(message)
+        try:
+            value = from_wire(message.param_value, message.param_type, self._autopilot)
+        except ValueError as error:
+            self._refusal = self._party.error(f"parameter {name}: {error}")
+            return
+        self.held[name] = ParameterValue(name, value, int(message.param_type))
+        self.total = int(message.param_count)
+        self._read.add(int(message.param_index))
+        self._give_up_s = now_s + self._patience_s
+        self._due_s = -math.inf if self._asked and self._read.issuperset(self._asked) else now_s + self._silence_s
+
+
 class ParameterSet:
     """One parameter, set until the vehicle says that it holds the value.
 
@@ -293,7 +485,7 @@ def mismatch(party: Party, name: str, sent: float, read: float) -> LinkError:
 
 def read_message(party: Party, name: str) -> Message:
     """Return a PARAM_REQUEST_READ by name."""
-    return mavlink.MAVLink_param_request_read_message(party.sysid, AUTOPILOT_COMPONENT, name.encode(), _BY_INDEX)
+    return mavlink.MAVLink_param_request_read_message(party.sysid, AUTOPILOT_COMPONENT, name.encode(), _BY_NAME)
 
 
 def set_message(party: Party, name: str, wire: float, kind: int) -> Message:

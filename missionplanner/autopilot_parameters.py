@@ -203,7 +203,8 @@ def same(one: float, other: float) -> bool:
 
 def shown(value: float) -> str:
     """Return a value as a vehicle's single precision has it, in as few digits as tell it."""
-    return str(round(value)) if abs(value) < 1e7 and value == round(value) else str(np.float32(value))
+    single = float(np.float32(value))
+    return str(round(single)) if abs(single) < 1e7 and single == round(single) else str(np.float32(single))
 
 
 def _meant(parameter: Parameter, spelling: Spelling, value: float) -> float:

@@ -350,9 +350,10 @@ def _urls(connect: str) -> list[str]:
 
 
 def _transfer(link: FleetLink, scene: Scene, fleet_plan: FleetPlan, *, unproven: bool) -> None:
-    """Upload all missions, read them back, prove what the vehicles hold, and set the heights they return at."""
+    """Compare parameters, upload all missions, read them back, prove what is held, and set the heights to return at."""
     from adapters.certificates import certify, held_by_vehicles
 
+    _compare_parameters(link, unproven=unproven)
     with _progress() as progress:
         link.upload(_transfer_bars(progress, "uploading"))
         link.verify(_transfer_bars(progress, "verifying"))
@@ -366,6 +367,21 @@ def _transfer(link: FleetLink, scene: Scene, fleet_plan: FleetPlan, *, unproven:
     for change in changes:
         told = f"{change.vehicle}: set {change.name} from {change.before:g} to {change.after:g}; it keeps that"
         print(f"missionplanner: {told}", file=sys.stderr)
+
+
+def _compare_parameters(link: FleetLink, *, unproven: bool) -> None:
+    """Refuse vehicles that hold other parameters than their plans were made with: their flights would be others."""
+    with _stderr.status("reading the vehicles' parameters"):
+        comparisons = link.compare_parameters()
+    for comparison in comparisons:
+        for told in comparison.absent:
+            print(f"missionplanner: {told}", file=sys.stderr)
+    problems = [comparison.problem for comparison in comparisons if comparison.problem is not None]
+    if problems and unproven:
+        _tell_unproven("; ".join(problems))
+    elif problems:
+        more = f" (and {len(problems) - 1} other vehicles: {'; '.join(problems[1:])})" if problems[1:] else ""
+        raise LinkError(f"{problems[0]}{more}; nothing was uploaded")
 
 
 def _transfer_bars(progress: Progress, what: str) -> Callable[[str, int, int], None]:

@@ -1,0 +1,154 @@
+"""The parameters that vehicles hold, and whether they move as a mission's motion model says.
+
+Read by name, several at once: only those that the motion model knows matter, so that it costs little before a flight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.endpoint import Endpoint
+from adapters.ground_station import AnyPeer, Clock, Peer, Station, Steps, TransferProgress, Waiting
+from adapters.mission_protocol import Party
+from adapters.parameter_protocol import ParameterValue
+from adapters.telemetry_log import FleetLog
+from missionplanner.autopilot_parameters import (
+    Difference,
+    Kind,
+    defaults,
+    differences,
+    missing,
+    parameters,
+    same,
+    shown,
+    value_of,
+)
+from missionplanner.errors import LinkError
+from missionplanner.vehicle import Autopilot, MotionModel, VehicleClass
+
+_NO_AUTOPILOT = int(mavlink.MAV_AUTOPILOT_INVALID)  # a ground station, a camera
+
+
+@dataclass(frozen=True, slots=True)
+class HeldParameters:
+    """What a vehicle holds, by name: all parameters, or those that the motion model knows."""
+
+    sysid: int
+    autopilot: Autopilot
+    vehicle_class: VehicleClass
+    values: Mapping[str, ParameterValue]
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """A vehicle's parameters held against the motion model that it was planned with.
+
+    What its firmware does not have, under any name, is ``unheld`` where the plan was made with other than the usual
+    value, so that the vehicle cannot fly so; else ``absent``. Both are told as they are to be read.
+    """
+
+    vehicle: str
+    differences: tuple[Difference, ...]
+    unheld: tuple[str, ...]
+    absent: tuple[str, ...]
+
+    @property
+    def problem(self) -> str | None:
+        """What is to be told to who wants to fly; None where the vehicle flies as planned."""
+        if self.differences:
+            first = self.differences[0]
+            wanted, held = shown(first.planned), shown(first.held)
+            told = (
+                f"holds {first.name} {held}, its plan was made with {wanted}: set it to {wanted} on the vehicle, or "
+                f"put {first.name}: {held} into its parameters in the mission file and plan again"
+            )
+            others = [*map(str, self.differences[1:]), *self.unheld]
+        elif self.unheld:
+            told, *others = self.unheld
+        else:
+            return None
+        more = f" (and {len(others)} more: {'; '.join(others)})" if others else ""
+        return f"{self.vehicle}: {told}{more}"
+
+
+def compared(vehicle: str, model: MotionModel, values: Mapping[str, ParameterValue]) -> Comparison:
+    """Return how what a vehicle holds compares with the motion model that it was planned with."""
+    kind: Kind = (model.autopilot, model.vehicle_class)
+    usual = defaults(kind)
+    unheld: list[str] = []
+    absent: list[str] = []
+    for parameter in missing(kind, values):
+        planned = value_of(model, parameter.field)
+        called = " or ".join(parameter.names)
+        if same(planned, usual[parameter.field]):
+            absent.append(f"{vehicle}: its firmware has no {called}: {planned:g} {parameter.unit} is assumed".rstrip())
+        else:
+            unheld.append(
+                f"its firmware has no {called}, planned with {planned:g} {parameter.unit}: leave it out of the mission "
+                "file and plan again"
+            )
+    found = differences(kind, model, {name: held.value for name, held in values.items()})
+    return Comparison(vehicle, found, tuple(unheld), tuple(absent))
+
+
+def reading_motion(
+    station: Station[AnyPeer], peer: AnyPeer, autopilot: Autopilot, vehicle_class: VehicleClass
+) -> Waiting[dict[str, ParameterValue]]:
+    """Read the parameters that the motion model knows."""
+    groups = [parameter.names for parameter in parameters((autopilot, vehicle_class))]
+    read = yield from station.reading_many(peer, autopilot, groups)
+    return {held.name: held for held in read if held is not None}
+
+
+def read_parameters(
+    endpoints: Sequence[Endpoint],
+    clock: Clock,
+    *,
+    expected: Sequence[int] | None = None,
+    everything: bool = False,
+    timeout_s: float = 30.0,
+    progress: TransferProgress | None = None,
+    log: FleetLog | None = None,
+) -> dict[int, HeldParameters]:
+    """Read what vehicles hold, by sysid, and change nothing: of those expected, or of all that are heard.
+
+    Raises
+    ------
+    LinkError
+        Nobody, or not everybody answers; a vehicle of a kind that we do not know; two vehicles with one sysid.
+    """
+    station = _Listener({}, endpoints, clock, log)
+    wanted = None if expected is None else sorted(set(expected))
+    station.wait_for(wanted, {sysid: f"sysid {sysid}" for sysid in wanted or ()}, timeout_s)
+    found: dict[int, HeldParameters] = {}
+
+    def reading(peer: Peer) -> Steps:
+        autopilot, vehicle_class = peer.known_kind()
+        if everything:
+
+            def tell(done: int, total: int) -> None:
+                if progress is not None:
+                    progress(peer.party.vehicle, done, total)
+
+            values = yield from station.listing(peer, autopilot, tell)
+        else:
+            values = yield from reading_motion(station, peer, autopilot, vehicle_class)
+        found[peer.party.sysid] = HeldParameters(peer.party.sysid, autopilot, vehicle_class, values)
+
+    if wanted is None:
+        wanted = [k for k, p in station.peers.items() if p.heartbeat and p.heartbeat.autopilot != _NO_AUTOPILOT]
+        if not wanted:
+            raise LinkError(f"{station.link.urls}: expected a vehicle, heard only ground stations")
+    peers = {k: station.peers[k] for k in wanted}
+    station.together({k: reading(peer) for k, peer in peers.items()})
+    return dict(sorted(found.items()))
+
+
+class _Listener(Station[Peer]):
+    """A ground station that takes in whoever it hears."""
+
+    def met(self, sysid: int) -> None:
+        self.peers[sysid] = Peer(Party(f"vehicle {sysid}", sysid))
