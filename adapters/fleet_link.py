@@ -7,8 +7,9 @@ vehicle that starts at once is armed. What goes wrong is a :class:`LinkError` th
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -28,14 +29,16 @@ from adapters.ground_station import (
     WallClock,
     joined,
 )
-from adapters.mission_items import MissionItem, goal_seq, plan_items, wire_to_degrees
+from adapters.mission_items import TAKEOFF, WAYPOINT, MissionItem, goal_seq, plan_items, wire_to_degrees
 from adapters.mission_protocol import MissionUpload, Party, mismatches
+from adapters.pace_keeper import PaceKeeper, Told
 from adapters.parameter_protocol import mismatch
 from adapters.return_settings import Setting, return_settings
 from adapters.telemetry_log import FleetLog
 from adapters.vehicle_parameters import Comparison, compared, reading_motion
 from missionplanner.errors import LinkError
 from missionplanner.geodesy import FloatArray, GeoPoint
+from missionplanner.pacing import Pace, Pacer, Sighting
 from missionplanner.plan import FleetFlight, FleetPlan, FlownVehicle, VehiclePlan
 from missionplanner.vehicle import Autopilot, VehicleClass
 
@@ -74,6 +77,7 @@ class VehicleStatus:
     landed: bool
     silent_s: float  # since anything was heard
     text: str  # what the vehicle said last
+    pace: Pace | None = None  # how it is doing against the plan, where that is watched
 
 
 WatchProgress = Callable[[Sequence[VehicleStatus]], None]
@@ -155,7 +159,9 @@ class FleetLink:
         self._station = Station(self._vehicles, endpoints, clock, log)
         self._home_tolerance_m = home_tolerance_m
         self._altitude_tolerance_m = altitude_tolerance_m
+        self._log = log
         self._start_s: float | None = None
+        self._keeper: PaceKeeper | None = None
 
     @property
     def items(self) -> Mapping[int, tuple[MissionItem, ...]]:
@@ -274,8 +280,13 @@ class FleetLink:
             {k: self._starting_later(v) for k, v in later.items()}, after_failure="the others fly their missions"
         )
 
-    def watch(self, progress: WatchProgress | None = None) -> FleetFlight:
+    def watch(
+        self, progress: WatchProgress | None = None, *, pacer: Pacer | None = None, tell: Told | None = None
+    ) -> FleetFlight:
         """Record until every vehicle has ended its mission: landed, or arrived where it is to stay.
+
+        With a ``pacer`` (of the plan's vehicles, in order) it is watched how late they are; and speeds are commanded,
+        if the pacer may correct. ``tell`` hears of each.
 
         Raises
         ------
@@ -287,13 +298,22 @@ class FleetLink:
         longest_s = max(float(vehicle.plan.trajectory.t_s[-1]) for vehicle in self._vehicles.values())
         give_up_s = self._start_s + 2.0 * longest_s + 2.0 * _LOST_S
         shown_s = -math.inf
+        vehicles = list(self._vehicles.values())
+        if pacer is not None:
+            self._keeper = PaceKeeper(
+                pacer, self._station, vehicles, lambda i, now_s: vehicles[i].sighting(now_s), self._log, tell
+            )
         while True:
             self._station.exchange()
             now_s = self._clock.now_s()
+            if self._keeper is not None:
+                self._keeper.step(now_s)
             ended = all(vehicle.ended or vehicle.lost(now_s) for vehicle in self._vehicles.values())
             if progress is not None and (ended or now_s >= shown_s + _PROGRESS_S):
                 shown_s = now_s
-                progress([vehicle.status(now_s) for vehicle in self._vehicles.values()])
+                advice = None if self._keeper is None else self._keeper.advice
+                paces = [None] * len(vehicles) if advice is None else advice.paces
+                progress([v.status(now_s, pace) for v, pace in zip(vehicles, paces, strict=True)])
             if ended or now_s > give_up_s:
                 break
             self._clock.wait(WAIT_S)
@@ -304,7 +324,12 @@ class FleetLink:
 
     def flight(self) -> FleetFlight:
         """Return what has been recorded so far."""
-        return FleetFlight(tuple(vehicle.flown() for vehicle in self._vehicles.values()))
+        flown = [vehicle.flown() for vehicle in self._vehicles.values()]
+        keeper = self._keeper
+        if keeper is None:
+            return FleetFlight(tuple(flown))
+        watched = (replace(vehicle, lateness=keeper.lateness(i)) for i, vehicle in enumerate(flown))
+        return FleetFlight(tuple(watched), tuple(keeper.corrections))
 
     @property
     def armed(self) -> list[str]:
@@ -537,6 +562,12 @@ class _Vehicle(Peer):
         self._text = ""
         self._text_s = -math.inf
         self._heard_s = -math.inf
+        self._item_s = self._position_s = -math.inf
+        self._velocity_m_s = np.zeros(3)
+        self._paused = False
+        self._flown_to = [item.seq for item in self.items if item.command in (TAKEOFF, WAYPOINT)]
+        if plan.autopilot == "ardupilot":
+            del self._flown_to[0]  # home
 
     @property
     def custom_mode(self) -> int | None:
@@ -571,6 +602,11 @@ class _Vehicle(Peer):
                 self._ekf_flags = message.flags
             case "MISSION_CURRENT":
                 self.current_item = message.seq
+                self._item_s = now_s
+                self._paused = message.mission_state == mavlink.MISSION_STATE_PAUSED
+            case "GLOBAL_POSITION_INT":
+                self._position_s = now_s
+                self._velocity_m_s = np.array([message.vy, message.vx, -message.vz]) / 100.0  # north, east, down
             case "STATUSTEXT":
                 self._text, self._text_s = status_text(message), now_s
         self.recorder.receive(message, now_s)
@@ -619,7 +655,24 @@ class _Vehicle(Peer):
             )
         return self.error(f"still flying long after its planned end, {where}: take over, or watch again")
 
-    def status(self, now_s: float) -> VehicleStatus:
+    def sighting(self, now_s: float) -> Sighting | None:
+        """Return where it is on its mission; None before that is known."""
+        t_s, position_m, item = self.recorder.t_s, self.recorder.position_m, self.recorder.item
+        if t_s is None or position_m is None or item is None:
+            return None
+        waypoint = len(self._flown_to) if self.recorder.reached_goal else bisect_left(self._flown_to, item)
+        return Sighting(
+            t_s=t_s,
+            position_m=position_m,
+            velocity_m_s=self._velocity_m_s,
+            waypoint=waypoint,
+            in_mission=self.armed and self.in_mode("auto"),
+            paused=self._paused,
+            age_s=now_s - min(self._item_s, self._position_s),
+            arrival_s=self.recorder.arrival_s if self.recorder.reached_goal else None,
+        )
+
+    def status(self, now_s: float, pace: Pace | None = None) -> VehicleStatus:
         return VehicleStatus(
             name=self.plan.name,
             sysid=self.plan.sysid,
@@ -632,6 +685,7 @@ class _Vehicle(Peer):
             landed=self.recorder.landed,
             silent_s=now_s - self._heard_s,
             text=self._text,
+            pace=pace,
         )
 
     def flown(self) -> FlownVehicle:

@@ -1,0 +1,141 @@
+"""A pacer's eyes and hands: sightings from telemetry, speeds by command, a word in the log for each of them.
+
+What autopilots do with a DO_CHANGE_SPEED by command, in their sources: ArduCopter 4.5 flies the present leg at the new
+speed at once, until an item of its mission changes it (AC_WPNav::set_speed_xy); PX4 1.15 as well
+(FlightModeManager::handleCommand, for ground speeds only), and keeps it for the legs to come; ArduPlane takes airspeeds
+within its limits (Plane::do_change_speed), and refuses others. All of them forget it when they enter the mission anew:
+ArduPilot flies at its parameters' speed then, PX4 at that of the mission's last item.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Generator, Sequence
+from typing import Any
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.ground_station import Peer, Station, Steps
+from adapters.telemetry_log import FleetLog
+from missionplanner.errors import LinkError
+from missionplanner.pacing import Advice, Pacer, Sighting, Trim
+from missionplanner.plan import Correction, Lateness
+
+Told = Callable[[str], None]
+"""Called with a line for the operator: a speed that was commanded, or what stands against one."""
+
+_SIGHT_S = 0.4
+_PATIENCE_S = 4.0  # for an answer: then the flight has gone on, and another speed would be right
+_THROTTLE_UNCHANGED = -1.0
+_RECORD_S = 10.0
+
+
+class PaceKeeper:
+    """Keeps a fleet's pace while it is watched: :meth:`step` is called whenever the link was listened to.
+
+    ``sight(i, now_s)`` returns what is known of vehicle i, in the order of the pacer's courses.
+    """
+
+    def __init__(
+        self,
+        pacer: Pacer,
+        station: Station[Any],
+        peers: Sequence[Peer],
+        sight: Callable[[int, float], Sighting | None],
+        log: FleetLog | None = None,
+        tell: Told | None = None,
+    ) -> None:
+        self.advice: Advice | None = None
+        self.corrections: list[Correction] = []
+        self._pacer = pacer
+        self._station = station
+        self._peers = peers
+        self._sight = sight
+        self._log = log
+        self._tell = tell
+        self._thinking: Generator[None, None, Advice] | None = None
+        self._commands: dict[int, Steps] = {}
+        self._sight_due_s = self._think_due_s = -math.inf
+        self._remarks: tuple[str, ...] = ()
+        self._history: list[list[tuple[float, float, float]]] = [[] for _ in peers]
+
+    def step(self, now_s: float) -> None:
+        """Take in what is known, think when it is time, and go on with what is being commanded."""
+        if now_s >= self._sight_due_s:
+            self._sight_due_s = now_s + _SIGHT_S
+            for i in range(len(self._peers)):
+                sighting = self._sight(i, now_s)
+                if sighting is not None:
+                    self._pacer.saw(i, sighting)
+        for i in list(self._commands):
+            try:
+                next(self._commands[i])
+            except StopIteration:
+                del self._commands[i]
+        if self._thinking is None and not self._commands and now_s >= self._think_due_s:
+            self._think_due_s = now_s + self._pacer.rules.period_s
+            self._thinking = self._pacer.deliberate()
+        if self._thinking is not None:
+            try:
+                next(self._thinking)
+            except StopIteration as done:
+                self._thinking = None
+                self._follow(done.value, now_s)
+
+    def lateness(self, i: int) -> Lateness | None:
+        """Return what was found of vehicle i while it flew; None: nothing."""
+        if not self._history[i]:
+            return None
+        t_s, late_s, arrival_s = np.array(self._history[i]).T
+        return Lateness(t_s, late_s, arrival_s)
+
+    def _follow(self, advice: Advice, now_s: float) -> None:
+        self.advice = advice
+        for pace, history in zip(advice.paces, self._history, strict=True):
+            if pace.at_s is None or pace.lateness_s is None or pace.arrival_s is None:
+                continue
+            if pace.state == "arrived" or (history and pace.at_s < history[-1][0] + _RECORD_S):
+                continue
+            history.append((pace.at_s, pace.lateness_s, pace.arrival_s))
+        for remark in advice.remarks:
+            if remark not in self._remarks:
+                self._say(remark, now_s)
+        self._remarks = advice.remarks
+        for trim in advice.trims:
+            self._commands[trim.vehicle] = self._commanding(trim)
+
+    def _commanding(self, trim: Trim) -> Steps:
+        peer = self._peers[trim.vehicle]
+        speed_type = mavlink.SPEED_TYPE_AIRSPEED if peer.vehicle_class == "plane" else mavlink.SPEED_TYPE_GROUNDSPEED
+        try:
+            result = yield from self._station.commanding(
+                peer,
+                mavlink.MAV_CMD_DO_CHANGE_SPEED,
+                float(speed_type),
+                trim.to_m_s,
+                _THROTTLE_UNCHANGED,
+                patience_s=_PATIENCE_S,
+            )
+        except LinkError:
+            peer.command = None
+            result = None
+        now_s = self._station.clock.now_s()
+        sighting = self._sight(trim.vehicle, now_s)
+        t_s = now_s if sighting is None else sighting.t_s
+        obeyed = result == mavlink.MAV_RESULT_ACCEPTED
+        self.corrections.append(Correction(trim.name, t_s, trim.from_m_s, trim.to_m_s, trim.why, obeyed))
+        order = f"{trim.name}: {trim.from_m_s:.2f} to {trim.to_m_s:.2f} m/s at {t_s:.0f} s, {trim.why}"
+        if obeyed:
+            self._pacer.obeyed(trim, t_s)
+            self._say(order, now_s)
+            return
+        answer = "it did not answer" if result is None else f"it refused (MAV_RESULT {result})"
+        alone = "; it is left at its speed from now on" if self._pacer.refused(trim, t_s) else ""
+        self._say(f"{order}: {answer}{alone}", now_s)
+
+    def _say(self, text: str, now_s: float) -> None:
+        if self._log is not None:
+            self._log.note(now_s, text)
+        if self._tell is not None:
+            self._tell(text)
