@@ -9,7 +9,9 @@ Power, as a share of the battery per second, is the sum of
 - *the air*: a copter's drag, 1/2 density (c_d A) v^3 / efficiency, on top; a plane's level power grows with the cube of
   its airspeed over the cruise speed, and is never less than at that.
 
-Airspeed is the ground speed plus all the wind: it blows from ahead on every leg, and while standing still as well.
+Where the strongest wind is stated (``wind_max_m_s``), airspeed is the ground speed plus all of that: it blows from
+ahead on every leg, and while standing still as well. Where only a steady wind is, airspeed is that of the predicted
+flight through it.
 Motions are taken as they are sampled, even between two samples: to be given tick by tick.
 """
 
@@ -28,6 +30,7 @@ from missionplanner.motion import landing_points, return_points
 from missionplanner.plan import Trajectory
 from missionplanner.sortie import Sortie
 from missionplanner.vehicle import MotionModel, motion_model, vehicle_limits
+from missionplanner.wind import airspeed_limit_m_s, along_m_s, braking_m_s2, calm, told
 
 GRAVITY_M_S2 = 9.80665
 SEA_LEVEL_DENSITY_KG_M3 = 1.225  # ISO 2533
@@ -61,7 +64,8 @@ class EnergyModel:
     climb_share_m: float  # per metre climbed
     drag_share_s: float  # per second at an airspeed of 1 m/s at sea level; copters
     reserve_share: float
-    airspeed_max_m_s: float
+    airspeed_max_m_s: float  # against wind from anywhere: stated, or the speeds it flies at in calm air
+    airspeed_held_m_s: float  # in the wind that flights are predicted in: a copter's lean limit, a plane's cruise speed
 
     def power_share(
         self, ground_m_s: npt.ArrayLike, climb_m_s: npt.ArrayLike, wind_m_s: float, alt_amsl_m: npt.ArrayLike = 0.0
@@ -85,12 +89,13 @@ def relative_density(alt_amsl_m: npt.ArrayLike) -> FloatArray:
     return density
 
 
-def energy_model(settings: VehicleSettings) -> EnergyModel | None:
+def energy_model(settings: VehicleSettings, air_m_s: tuple[float, float] = (0.0, 0.0)) -> EnergyModel | None:
     """Return what flying takes of a vehicle's battery; None where the mission file states neither energy nor endurance.
 
-    Where only the endurance is known, climbs and drag are shares of it, typical of small vehicles.
+    Where only the endurance is known, climbs and drag are shares of it, typical of small vehicles. ``air_m_s``: the
+    velocity of the air that flights are predicted in.
     """
-    motion = motion_model(settings)
+    motion = motion_model(settings, air_m_s)
     copter = motion.vehicle_class == "copter"
     efficiency = COPTER_EFFICIENCY if copter else PLANE_EFFICIENCY
     if settings.energy is not None:
@@ -114,14 +119,22 @@ def energy_model(settings: VehicleSettings) -> EnergyModel | None:
         drag_share_s=per_w_kg * drag_w_kg if copter else 0.0,
         reserve_share=settings.reserve_share,
         airspeed_max_m_s=proven_m_s if settings.airspeed_max_m_s is None else settings.airspeed_max_m_s,
+        airspeed_held_m_s=min(airspeed_limit_m_s(motion), settings.airspeed_max_m_s or math.inf)
+        if copter
+        else motion.cruise_speed_m_s,
     )
 
 
 def used_share(model: EnergyModel, trajectory: Trajectory, wind_m_s: float, takeoff_s: float = -math.inf) -> FloatArray:
-    """Return the share of the battery (S,) used up to each sample; nothing is used before ``takeoff_s``."""
+    """Return the share of the battery (S,) used up to each sample; nothing is used before ``takeoff_s``.
+
+    ``wind_m_s`` is the strongest wind, from ahead everywhere; 0: it is the model's.
+    """
     t, position = trajectory.t_s, trajectory.position_m
     step, flown_s = np.diff(position, axis=0), np.diff(np.maximum(t, takeoff_s))
     ground, climb = np.hypot(step[:, 0], step[:, 1]) / np.diff(t), step[:, 2] / np.diff(t)
+    if wind_m_s == 0.0 and not calm(model.motion):
+        ground = np.hypot(*(step[:, :2] / np.diff(t)[:, np.newaxis] - model.motion.wind_m_s).T)
     alt_amsl_m = position[:, 2]
     power = np.maximum(  # over density it is convex: between two altitudes it is at most what it is at one of them
         model.power_share(ground, climb, wind_m_s, alt_amsl_m[:-1]),
@@ -145,6 +158,7 @@ def return_share(
     A copter brakes, climbs to its return height, flies home against the wind as fast as its autopilot does and its
     greatest airspeed allows, waits and lands. A plane flies at its cruise speed through the air, and circles twice.
     On the way between two samples it is at most what it is at one of them: everything is convex in the position.
+    ``wind_m_s`` is the strongest wind, from ahead; 0: it is the model's.
     """
     motion, position = replace(model.motion, return_height_m=return_height_m), trajectory.position_m
     home = np.asarray(home_m, dtype=float)
@@ -152,17 +166,29 @@ def return_share(
     way = return_points(motion, above, home)
     asked_m_s = float(way.speed_m_s[0])
     copter = motion.vehicle_class == "copter"
-    ground_m_s = min(asked_m_s, model.airspeed_max_m_s - wind_m_s) if copter else asked_m_s - wind_m_s
+    known = wind_m_s == 0.0 and not calm(motion)
+    if known:
+        wind_m_s = math.hypot(*motion.wind_m_s)
+        ground_m_s = model.airspeed_held_m_s - wind_m_s  # whatever the course
+        ground_m_s = min(asked_m_s, ground_m_s) if copter else ground_m_s
+    else:
+        ground_m_s = min(asked_m_s, model.airspeed_max_m_s - wind_m_s) if copter else asked_m_s - wind_m_s
     if ground_m_s <= 0.0:
         return np.full(len(position), math.inf)
     velocity = np.diff(position, axis=0) / np.diff(trajectory.t_s)[:, None]
     speed_m_s = float(np.hypot(velocity[:, 0], velocity[:, 1]).max(initial=0.0))
     rise_m_s = float(velocity[:, 2].max(initial=0.0))
     settling_s = max(_SETTLING_S, 0.5 * motion.acceleration_m_s2 / motion.jerk_m_s3)
-    braking_s = speed_m_s / motion.acceleration_m_s2 + 2.0 * settling_s
-    braking_m = speed_m_s * (0.5 * speed_m_s / motion.acceleration_m_s2 + settling_s)
-    going_s = asked_m_s / motion.acceleration_m_s2 + 4.0 * settling_s  # what speeding up and slowing down lose
-    away_m = np.hypot(position[:, 0] - home[0], position[:, 1] - home[1]) + braking_m
+    brakes_m_s2 = braking_m_s2(motion, wind_m_s)
+    braking_s = speed_m_s / brakes_m_s2 + 2.0 * settling_s
+    braking_m = speed_m_s * (0.5 * speed_m_s / brakes_m_s2 + settling_s)
+    going_s = asked_m_s / brakes_m_s2 + 4.0 * settling_s  # what speeding up and slowing down lose
+    away_m = np.hypot(position[:, 0] - home[0], position[:, 1] - home[1])
+    if known:  # where it comes to rest, its way home has another course: the time to anywhere in a wind is a norm
+        made = along_m_s(motion, model.airspeed_held_m_s, home[:2] - position[:, :2])
+        way_s = away_m / (np.minimum(made, asked_m_s) if copter else made) + braking_m / ground_m_s
+    else:
+        way_s = (away_m + braking_m) / ground_m_s
     high_m = np.maximum(position[:, 2] + rise_m_s * (0.5 * rise_m_s + _SETTLING_S), above[2])
     if copter:
         down = landing_points(motion, above, float(home[2]))
@@ -179,8 +205,11 @@ def return_share(
 
     brake, climb = power(max(speed_m_s, asked_m_s), 0.0), power(0.0, motion.climb_rate_m_s)
     cruise = power(ground_m_s, 0.0)
+    if known:
+        through_m_s = min(model.airspeed_held_m_s, asked_m_s + wind_m_s) if copter else model.airspeed_held_m_s
+        cruise = power(through_m_s - wind_m_s, 0.0)
     climb_s = (high_m - position[:, 2]) / motion.climb_rate_m_s
-    share: FloatArray = brake * braking_s + climb * climb_s + cruise * (going_s + away_m / ground_m_s + ending_s)
+    share: FloatArray = brake * braking_s + climb * climb_s + cruise * (going_s + way_s + ending_s)
     return share
 
 
@@ -203,7 +232,7 @@ def findings(
     """
     used = used_share(model, trajectory, wind_m_s, sortie.start_delay_s)
     allowed = 1.0 - model.reserve_share
-    windy = f" in {wind_m_s:g} m/s of wind" if wind_m_s > 0.0 else ""
+    windy = f" in {_wind_told(model, wind_m_s)}" if wind_m_s > 0.0 or not calm(model.motion) else ""
     total = float(used[-1])
     enough = total <= allowed + _SAME_SHARE
     found = [
@@ -222,6 +251,10 @@ def findings(
         found.append(_against_the_wind(model, sortie, wind_m_s))
     found.append(_home(model, sortie, trajectory, reached_s, used, wind_m_s, return_waived))
     return found
+
+
+def _wind_told(model: EnergyModel, wind_m_s: float) -> str:
+    return f"{wind_m_s:g} m/s of wind" if wind_m_s > 0.0 else told(model.motion)
 
 
 def _against_the_wind(model: EnergyModel, sortie: Sortie, wind_m_s: float) -> Finding:
@@ -267,7 +300,7 @@ def _home(
         enough,
         f"returning at {t_s[worst]:.0f} s takes {share:.1%} of its battery in all, allowed {allowed:.0%}"
         if math.isfinite(share)
-        else f"gets nowhere against {wind_m_s:g} m/s of wind when it is to return",
+        else f"gets nowhere against {_wind_told(model, wind_m_s)} when it is to return",
         "" if enough else "stay nearer to its home, or set fleet.direct_return: waived",
         share if math.isfinite(share) else None,
         allowed,

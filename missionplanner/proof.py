@@ -16,10 +16,10 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from missionplanner import __version__, energy, returns, timing
+from missionplanner import __version__, energy, returns, timing, wind
 from missionplanner.certificate import Certificate, Check, Finding, LegVerdict, Position
 from missionplanner.clearance import TubeClearances, distance_to_legs_m, polyline_legs, tube_clearances
-from missionplanner.errors import MissionError
+from missionplanner.errors import InfeasibleError, MissionError
 from missionplanner.flight_check import COLUMN_M, nearest_pair
 from missionplanner.geodesy import FloatArray
 from missionplanner.motion.spline import spline_chords
@@ -92,10 +92,14 @@ def predict(scene: Scene, sorties: Sequence[Sortie]) -> list[Flight]:
     ------
     MissionError
         A sortie with a number that is not finite: no bound holds for it.
+    InfeasibleError
+        A leg that cannot be flown in the wind: no flight along it can be predicted.
     """
+    tasks = {task.name: task for task in scene.tasks}
+    wind.refuse_storm([tasks[sortie.name] for sortie in sorties])
     for sortie in sorties:
         _check_finite(sortie)
-    tasks = {task.name: task for task in scene.tasks}
+        _check_wind(tasks[sortie.name], sortie)
     flights = [_predicted(scene, tasks[sortie.name], sortie) for sortie in sorties]
     last_s = max(float(flight.trajectory.t_s[-1]) for flight in flights)
     return [_predicted(scene, f.task, f.sortie, last_s) if f.sortie.vehicle_class == "plane" else f for f in flights]
@@ -110,6 +114,13 @@ def _check_finite(sortie: Sortie) -> None:
     for what, numbers in told:
         if not np.isfinite(numbers).all():
             raise MissionError(f"{sortie.name}: {what}: expected finite numbers, got {numbers}")
+
+
+def _check_wind(task: VehicleTask, sortie: Sortie) -> None:
+    for before, leg in pairwise(sortie.legs):
+        problem = wind.leg_problem(task.limits, task.motion, leg.end_m - before.end_m, leg.speed_m_s)
+        if problem is not None:
+            raise InfeasibleError(f"{sortie.name}: item {leg.seq}: its leg {problem}")
 
 
 def prove_flights(
@@ -248,6 +259,7 @@ def _vehicle(scene: Scene, flight: Flight) -> tuple[list[Finding], list[LegVerdi
         _angles(flight),
         _turns(flight),
         _speeds(flight),
+        *_in_wind(scene, flight, tubes),
         *_landings(scene, flight),
         *_energy(scene, flight),
     ]
@@ -618,7 +630,10 @@ def _corners(task: VehicleTask, waypoints_m: FloatArray, stops: npt.NDArray[np.b
 def _tightest_flown_m(flight: Flight) -> float:
     """Return the least radius of a plane's predicted flight once it has taken off."""
     airborne = flight.trajectory.t_s >= flight.reached_s[0]
-    step = np.diff(flight.trajectory.position_m[airborne, :2], axis=0)
+    place_m = flight.trajectory.position_m[airborne, :2]
+    if not wind.calm(flight.task.motion):  # as the air sees it, which is what its bank is for
+        place_m = place_m - flight.trajectory.t_s[airborne, np.newaxis] * flight.task.motion.wind_m_s
+    step = np.diff(place_m, axis=0)
     length = np.hypot(step[:, 0], step[:, 1])
     turn = np.arctan2(step[:-1, 0] * step[1:, 1] - step[:-1, 1] * step[1:, 0], (step[:-1] * step[1:]).sum(axis=1))
     turning = np.abs(turn) > 1e-6
@@ -645,6 +660,69 @@ def _speeds(flight: Flight) -> Finding:
                 seq=leg.seq,
             )
     return Finding("speed", sortie.name, True, "every leg's speed is within the vehicle's range", unit="m/s")
+
+
+def _in_wind(scene: Scene, flight: Flight, tubes: Sequence[_Tube]) -> list[Finding]:
+    """Return whether it holds its legs in the wind, drifts little before it leans in, and gets home against it."""
+    task, sortie, motion = flight.task, flight.sortie, flight.task.motion
+    findings = []
+    if task.limits.wind_max_m_s > 0.0 and motion.vehicle_class == "copter":
+        drift_m, allowed_m = wind.leaning_in_m(motion, task.limits.wind_max_m_s), task.limits.tracking_error_m
+        detail = (
+            f"drifts {drift_m:.2f} m after its lift-off in {task.limits.wind_max_m_s:g} m/s of wind, until it leans in"
+        )
+        remedy = "" if drift_m <= allowed_m else "fly in less wind, or state a greater tracking_error_m"
+        findings.append(Finding("takeoff", sortie.name, not remedy, detail, remedy, drift_m, allowed_m))
+    if wind.calm(motion):
+        return findings
+    if motion.vehicle_class == "copter":
+        findings += _held(flight, tubes)
+    waived = scene.mission.fleet.direct_return == "waived" and sortie.ending != "rtl"
+    findings.append(_home_against_the_wind(flight, waived=waived))
+    return findings
+
+
+def _held(flight: Flight, tubes: Sequence[_Tube]) -> list[Finding]:
+    """Return whether a copter's predicted flight stays near its legs, and which it flies slower than commanded."""
+    sortie, motion = flight.sortie, flight.task.motion
+    pieces = np.concatenate([tube.pieces for tube in tubes])
+    wider_m = max(tube.wider_m for tube in tubes)
+    off_m, allowed_m = wind.off_legs_m(flight.trajectory, pieces), flight.task.limits.deviation_m + wider_m
+    held = off_m <= allowed_m
+    detail = f"is predicted at most {off_m:.2f} m off its legs in {wind.told(motion)}, allowed {allowed_m:g} m"
+    remedy = "" if held else "fly slower: who leans as far as it may has nothing left against the wind"
+    findings = [Finding("speed", sortie.name, held, detail, remedy, off_m, allowed_m)]
+    airspeed_m_s = wind.airspeed_limit_m_s(motion)
+    slow = []
+    for before, leg in pairwise(sortie.legs):
+        made_m_s = float(wind.along_m_s(motion, airspeed_m_s, (leg.end_m - before.end_m)[:2]))
+        if made_m_s < leg.speed_m_s:
+            slow.append((made_m_s - leg.speed_m_s, made_m_s, leg))
+    if slow:
+        _, made_m_s, leg = min(slow, key=lambda row: row[0])
+        detail = f"makes {made_m_s:.1f} of the {leg.speed_m_s:g} m/s commanded in {wind.told(motion)}; predicted so"
+        findings.append(Finding("speed", sortie.name, True, detail, "", made_m_s, leg.speed_m_s, "m/s", seq=leg.seq))
+    return findings
+
+
+def _home_against_the_wind(flight: Flight, *, waived: bool) -> Finding:
+    motion, limits = flight.task.motion, flight.task.limits
+    plane = motion.vehicle_class == "plane"
+    airspeed_m_s = motion.cruise_speed_m_s if plane else min(wind.airspeed_limit_m_s(motion), limits.airspeed_max_m_s)
+    left_m_s = airspeed_m_s - limits.wind_max_m_s
+    least_m_s = wind.LEAST_GROUND_M_S[motion.vehicle_class]
+    flies = left_m_s >= least_m_s
+    return Finding(
+        "return",
+        flight.sortie.name,
+        flies,
+        f"has {left_m_s:.1f} m/s left against the wind when it is to return, expected {least_m_s:g} m/s",
+        "" if flies else "fly in less wind, or return faster (cruise_speed_m_s)",
+        left_m_s,
+        least_m_s,
+        "m/s",
+        waived=waived,
+    )
 
 
 def _landings(scene: Scene, flight: Flight) -> list[Finding]:
@@ -684,7 +762,7 @@ def _energy(scene: Scene, flight: Flight) -> list[Finding]:
     """Return whether the energy lasts, with reserve and wind, to the end of the mission; and home from everywhere."""
     sortie = flight.sortie
     settings = next(v for v in scene.mission.vehicles if v.name == sortie.name)
-    model = energy.energy_model(settings)
+    model = energy.energy_model(settings, scene.mission.air_m_s)
     if model is None:
         detail = "neither endurance_s nor energy is given: whether its battery lasts is not known"
         return [Finding("energy", sortie.name, False, detail, "give one of them", unit="", waived=True)]
@@ -695,7 +773,7 @@ def _energy(scene: Scene, flight: Flight) -> list[Finding]:
         sortie,
         flight.trajectory,
         flight.reached_s,
-        scene.mission.wind_max_m_s,
+        scene.mission.wind_max_m_s or 0.0,
         return_waived=scene.mission.fleet.direct_return == "waived",
     )
 
@@ -806,6 +884,7 @@ def returning(flight: Flight) -> Returning:
         trajectory=flight.trajectory,
         airborne_s=min(float(flight.reached_s[0]), math.nextafter(flight.descends_s, -math.inf)),
         descends_s=flight.descends_s,
+        commanded_m_s=max(leg.speed_m_s for leg in flight.sortie.legs),
     )
 
 
@@ -934,10 +1013,23 @@ def _assumptions(scene: Scene, flights: Sequence[Flight]) -> list[str]:
     lines += [
         f"terrain: {scene.terrain.description}, bicubic, at most {_vertical_error_m(scene):g} m too low anywhere",
         "distances to terrain, obstacles and fence: what the whole tube keeps; between vehicles: of predicted flights",
-        f"wind of at most {scene.mission.wind_max_m_s:g} m/s",
+        *_winds_told(scene),
         f"each vehicle is set to return at its height above home ({_heights_told(flights)}); upload and fly set it",
         "altitudes are mean sea level; a vehicle whose altitude is wrong is refused before it is armed",
     ]
+    return lines
+
+
+def _winds_told(scene: Scene) -> list[str]:
+    """Return which wind is allowed for, and which flights are predicted in."""
+    known, strongest_m_s = scene.mission.wind, scene.mission.wind_max_m_s
+    lines = []
+    if known is not None:
+        lines.append(
+            f"flights are predicted in a steady wind of {known.speed_m_s:g} m/s from {known.from_deg:g} degrees"
+        )
+    if known is None or strongest_m_s is not None:
+        lines.append(f"wind of at most {strongest_m_s or 0.0:g} m/s")
     return lines
 
 

@@ -15,6 +15,11 @@ A copter that is told to return (by hand, low battery, lost link) brakes, climbs
 
 A plane turns towards home, at any altitude between its own and the return height, within two turn radii of the way.
 
+In wind, a copter brakes with what is left of its lean limit when the strongest wind allowed for pushes it on; where it
+may be slower than commanded, against the wind, its target brakes from the speed commanded all the same. On its way home
+it is off by what the wind it is planned with pushes it aside at most, whatever its course. A plane is carried with the
+strongest wind for as long as it takes to turn once around.
+
 Pieces of the flight form trees; each node is a segment that all stopping ways of its piece are within a stated reach
 of. Nodes are looked into until decided: nothing is sampled.
 """
@@ -48,6 +53,7 @@ from missionplanner.kernels import (
 from missionplanner.plan import Trajectory
 from missionplanner.terrain_bounds import Pyramid, least_height
 from missionplanner.vehicle import MotionModel, VehicleLimits
+from missionplanner.wind import braking_m_s2, falls_behind, pushed_off_m, turn_drift_m
 
 _TICK_S = 0.1
 _POSITION_LOOP_S = 1.0  # 1 / PSC_POSXY_P, 1 / PSC_POSZ_P
@@ -120,6 +126,7 @@ class Returning:
     trajectory: Trajectory  # since mission start
     airborne_s: float
     descends_s: float
+    commanded_m_s: float = 0.0  # the fastest of its legs
 
 
 # --- pieces of the flight ------------------------------------------------------------------------------------------
@@ -215,7 +222,9 @@ def _track(v: Returning, ticks: int) -> _Track:
             state[t > end_s] = _LANDED
         # as it is predicted: what is snapped to its home or landing place jumps there
         flown = v.trajectory.at(t)
-        stop, swing, drop, rise, lift = _stopping(v.motion, flown)
+        target_m_s = v.commanded_m_s if falls_behind(v.motion, v.commanded_m_s) else 0.0
+        brakes_m_s2 = braking_m_s2(v.motion, v.limits.wind_max_m_s)
+        stop, swing, drop, rise, lift = _stopping(v.motion, flown, brakes_m_s2, target_m_s)
         swing = swing + np.hypot(*(flown[:, :2] - p[:, :2]).T)
         low, high = p[:, 2] - drop, p[:, 2] + rise
     floor = np.where(before | after, math.inf, low)
@@ -224,13 +233,17 @@ def _track(v: Returning, ticks: int) -> _Track:
         nodes=_grow(p, stop, swing + between, low, low + lift, high, floor, state),
         home_m=np.asarray(v.home_m, dtype=np.float64),
         plane=plane,
-        radius_m=v.limits.tube_m if plane else v.limits.stray_m,
-        widen_m=max(2.0 * v.motion.turn_radius_m, v.motion.loiter_radius_m) if plane else 0.0,
+        radius_m=v.limits.tube_m if plane else v.limits.stray_m + pushed_off_m(v.motion),
+        widen_m=max(2.0 * v.motion.turn_radius_m, v.motion.loiter_radius_m) + turn_drift_m(v.motion, v.limits)
+        if plane
+        else 0.0,
     )
 
 
-def _stopping(motion: MotionModel, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what a flight (K, 3) has ahead at each instant.
+def _stopping(
+    motion: MotionModel, p: FloatArray, brakes_m_s2: float, target_m_s: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what a flight (K, 3) has ahead at each instant when it brakes so hard, and its target from such a speed.
 
     Farthest stopping points (K, 2), how far to their sides, how far it drops and rises, how much it has climbed there.
     """
@@ -249,13 +262,14 @@ def _stopping(motion: MotionModel, p: FloatArray) -> tuple[FloatArray, FloatArra
     lag_s = max(_POSITION_LOOP_S, a / (2.0 * jerk))
     along, across = np.minimum(along, 2.0 * a), np.minimum(across, 2.0 * a)  # corners take twice as much
     if motion.autopilot == "px4":
-        distance = stopping_m(speed + along**2 / (2.0 * jerk), a, lag_s) + speed * along / jerk
+        distance = stopping_m(speed + along**2 / (2.0 * jerk), brakes_m_s2, lag_s) + speed * along / jerk
         sideways = across**2 / (2.0 * jerk)
     else:
-        distance = stopping_m(speed + _LEAN_S * along, a, lag_s)
+        distance = stopping_m(speed + _LEAN_S * along, brakes_m_s2, lag_s)
         sideways = _LEAN_S * across
-    swing = sideways * (0.5 * speed / a + lag_s)
-    swing = np.where(slow, swing + stopping_m(speed, a, lag_s), swing)
+    distance = np.maximum(distance, stopping_m(np.full_like(speed, target_m_s), a, lag_s))
+    swing = sideways * (0.5 * speed / brakes_m_s2 + lag_s)
+    swing = np.where(slow, swing + stopping_m(speed, brakes_m_s2, lag_s), swing)
     stop = p[:, :2] + distance[:, np.newaxis] * heading
     climb = np.maximum(behind[:, 2], ahead[:, 2])
     sink = np.minimum(behind[:, 2], ahead[:, 2])
