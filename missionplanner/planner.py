@@ -18,7 +18,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from missionplanner import __version__, energy, obstacles, proof, returns, timing
+from missionplanner import __version__, energy, obstacles, proof, returns, timing, wind
 from missionplanner.certificate import Finding
 from missionplanner.clearance import Margins, distance_to_legs_m, polyline_legs, tubes_clear
 from missionplanner.cost import Price
@@ -77,6 +77,7 @@ def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = N
         No such plan was found; the message names the vehicles, and what blocks them or keeps them from arriving
         together.
     """
+    wind.refuse_storm(scene.tasks)
     seed = scene.mission.planner.seed if seed is None else seed
     for start in range(_STARTS - 1):
         try:
@@ -463,13 +464,14 @@ def schedule(
 
 def _flier(scene: Scene, task: VehicleTask, path: PlannedPath, delay_s: float) -> Flier:
     thrifty = scene.mission.fleet.arrival == "least_energy"
+    low_m_s, high_m_s = _speed_range(task, path)
     return Flier(
         name=task.name,
         reached_s=partial(_reached, task, path),
         legs=len(path.waypoints_m) - 1,
-        speed_min_m_s=task.limits.speed_min_m_s,
-        speed_max_m_s=task.limits.speed_max_m_s,
-        pace_m_s=_thriftiest_m_s(scene, task, path) if thrifty else task.limits.speed_max_m_s,
+        speed_min_m_s=low_m_s,
+        speed_max_m_s=high_m_s,
+        pace_m_s=_thriftiest_m_s(scene, task, path) if thrifty else high_m_s,
         delay_s=delay_s,
         can_wait=task.motion.vehicle_class == "copter",
         thrifty=thrifty,
@@ -546,15 +548,20 @@ def _reached(
 
 
 @lru_cache(maxsize=256)
+def _speed_range(task: VehicleTask, path: PlannedPath) -> tuple[float, float]:
+    return wind.speed_range_m_s(task, path.waypoints_m)
+
+
+@lru_cache(maxsize=256)
 def _thriftiest_m_s(scene: Scene, task: VehicleTask, path: PlannedPath) -> float:
     """Return the speed along the whole way that takes least of the battery, of some between least and greatest."""
     settings = next(vehicle for vehicle in scene.mission.vehicles if vehicle.name == task.name)
-    model = energy.energy_model(settings)
+    model = energy.energy_model(settings, scene.mission.air_m_s)
     if model is None:
         raise MissionError(
             f"fleet.arrival: least_energy: expected endurance_s or energy of every vehicle, got neither of {task.name}"
         )
-    low_m_s, high_m_s = task.limits.speed_min_m_s, task.limits.speed_max_m_s
+    low_m_s, high_m_s = _speed_range(task, path)
     used: dict[float, float] = {}
     for speed_m_s in np.linspace(low_m_s, high_m_s, _PACES).round(2).clip(low_m_s, high_m_s).tolist():
         flight, reached_s = timing.predict_flight(task.motion, task.home_m, path.waypoints_m, speed_m_s)
@@ -619,13 +626,12 @@ def _path(
 
     # a plane is held to its predicted flight: its turns are wider the faster it flies, what it cuts differs
     plane = task.motion.vehicle_class == "plane"
-    speeds_m_s = [task.limits.speed_max_m_s, task.limits.speed_min_m_s]
     ground_amsl_m = _goal_ground(scene, task)
 
     def flown_is_clear(waypoints_m: FloatArray) -> bool:
         if not proof.turns_allowed(task, waypoints_m):
             return False
-        for speed_m_s in speeds_m_s if plane else ():
+        for speed_m_s in reversed(wind.speed_range_m_s(task, waypoints_m)) if plane else ():
             trajectory, reached_s = timing.predict_flight(
                 task.motion, task.home_m, waypoints_m, speed_m_s, end=task.end, ground_amsl_m=ground_amsl_m
             )
@@ -683,7 +689,7 @@ def _went_around(vehicle: VehiclePlan, other: str, t_s: float, before: PlannedPa
 
 def _braking_m(task: VehicleTask) -> float:
     """Return how far a vehicle that is told to return flies on at most while it brakes, roughly."""
-    return 0.5 * task.limits.speed_max_m_s**2 / task.motion.acceleration_m_s2
+    return 0.5 * task.limits.speed_max_m_s**2 / wind.braking_m_s2(task.motion, task.limits.wind_max_m_s)
 
 
 def _overhead(scene: Scene) -> list[Solid]:

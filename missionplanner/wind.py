@@ -36,6 +36,7 @@ LEAST_GROUND_M_S: dict[VehicleClass, float] = {"copter": 1.0, "plane": 3.0}
 
 _SPEED_STEP_M_S = 0.25  # between speeds that are tried
 _SPEEDS_MAX = 24
+_HELD_SHARE = 0.95  # of what a tube allows: speeds between those that were tried may be a little worse
 _SAME_M_S = 1e-6
 _LEAN_TIME_S = 0.15  # ATC_INPUT_TC, MC_ROLL_P
 _DAMPING_GAIN = {"ardupilot": 0.5, "px4": 0.2}  # PSC_VELXY_D, MPC_XY_VEL_D_ACC
@@ -211,7 +212,7 @@ def speed_range_m_s(task: VehicleTask, waypoints_m: FloatArray) -> tuple[float, 
     for speed in reversed(tries):
         if legs_problem(task, waypoints_m, speed) is None:
             off_m = _outbound_off_m(task, waypoints_m, speed)
-            if off_m <= task.limits.deviation_m:
+            if off_m <= _HELD_SHARE * task.limits.deviation_m:
                 return low, speed
     raise InfeasibleError(
         f"{task.name}: {told(task.motion)} pushes it {off_m:.1f} m off its legs at {low:g} m/s, allowed "
