@@ -157,9 +157,12 @@ def with_values(model: _Model, values: Mapping[str, float]) -> _Model:
 
 
 def held(kind: Kind, model: object) -> dict[str, int | float]:
-    """Return the parameters of a motion model, by name and in the autopilot's units, as a vehicle would hold them."""
+    """Return the parameters of a motion model, by name and in the autopilot's units, as a vehicle would hold them.
+
+    Those that a plan sets on the vehicle are no part of them.
+    """
     values: dict[str, int | float] = {}
-    for parameter in _TABLES[kind]:
+    for parameter in (p for p in _TABLES[kind] if not p.sent):
         spelling = parameter.spellings[0]
         value = float(np.float32(value_of(model, parameter.field) * spelling.per_unit))
         values[spelling.name] = round(value) if spelling.whole else value

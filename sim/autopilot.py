@@ -16,6 +16,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.mission_items import MissionItem, wire_to_degrees
+from missionplanner.autopilot_parameters import changed, with_values
 from missionplanner.geodesy import FloatArray, LocalFrame
 from missionplanner.motion import Navigator, Route, landing_points, return_points, takeoff_points
 from missionplanner.vehicle import MotionModel
@@ -118,6 +119,7 @@ class Autopilot:
         self.events: list[Said | Completed] = []
         self.ready_s = personality.cold_start_s if cold_start else 0.0
         self._motion = motion
+        self._taken_up = dict(parameters)
         self._navigator = navigator
         self._index = index
         self._frame = frame
@@ -418,12 +420,24 @@ class Autopilot:
         self._passed = 0
         self._wait_until_s = math.inf
         if self._stage.route is not None:
+            self._by_parameters()
             self._navigator.follow(self._index, *self._stage.route)
             if self.landed:
                 self.landed = False
                 self._airborne_since_s = now_s
         elif not math.isinf(self._stage.wait_s):
             self._wait_until_s = now_s + self._stage.wait_s
+
+    def _by_parameters(self) -> MotionModel:
+        """Take up the parameters as they are now, which a vehicle does with its next route; return how it moves."""
+        if self.parameters != self._taken_up:
+            kind = (self.personality.autopilot, self.personality.vehicle_class)
+            changes = changed(kind, self._taken_up, self.parameters)
+            self._taken_up = dict(self.parameters)
+            if changes:
+                self._motion = with_values(self._motion, changes)
+                self._navigator.retune(self._index, self._motion)
+        return self._motion
 
     def _leg(self, position_m: FloatArray) -> Route:
         return Route.through([position_m], self._speed_m_s)
@@ -478,21 +492,21 @@ class Autopilot:
 
     def _climb(self, top_m: FloatArray, seq: int) -> _Stage:
         here = self.position_m
-        route = takeoff_points(self._motion, here, top_m)
+        route = takeoff_points(self._by_parameters(), here, top_m)
         if not self.landed:
             route = Route.through([top_m], self._speed_m_s)
         return _Stage(_Doing.CLIMB, route, (-1,) * (len(route.points_m) - 1) + (seq,))
 
     def _descent(self, from_m: FloatArray, seq: int) -> _Stage:
         ground_amsl_m = self._ground(float(from_m[0]), float(from_m[1]))
-        route = landing_points(self._motion, from_m, ground_amsl_m, self._speed_m_s)
+        route = landing_points(self._by_parameters(), from_m, ground_amsl_m, self._speed_m_s)
         return _Stage(_Doing.LEGS, route, (-1,) * len(route.points_m), done_seq=seq, lands_from=0)
 
     def _return(self, seq: int) -> _Stage:
         here = self.position_m
         x_m, y_m, height_m = map(float, here - self.home_m)
         return_height_m = self.personality.return_height_m(self.parameters, height_m, math.hypot(x_m, y_m))
-        route = return_points(replace(self._motion, return_height_m=return_height_m), here, self.home_m)
+        route = return_points(replace(self._by_parameters(), return_height_m=return_height_m), here, self.home_m)
         nowhere = (-1,) * len(route.points_m)
         if self.personality.vehicle_class == "plane":  # planes circle above home
             return _Stage(_Doing.LEGS, route, nowhere, math.inf)
@@ -666,7 +680,7 @@ class Autopilot:
         if not self.landed and top[2] - here[2] < 0.1:
             return [_Stage(_Doing.WAIT, done_seq=seq)]
         away_m = math.dist(place[:2], here[:2])
-        if self.personality.autopilot == "px4" and not plane and away_m > self._motion.waypoint_radius_m:
+        if self.personality.autopilot == "px4" and not plane and away_m > self._by_parameters().waypoint_radius_m:
             climb = self._climb(top, -1)
             return [climb, _Stage(_Doing.LEGS, self._leg(np.array([place[0], place[1], top[2]])), (seq,))]
         return [self._climb(top, seq)]
@@ -677,7 +691,7 @@ class Autopilot:
             return [self._descent(place, seq)]
         above = np.array([place[0], place[1], here[2]])
         stages = [self._descent(above, seq)]
-        if math.dist(above[:2], here[:2]) > self._motion.waypoint_radius_m:
+        if math.dist(above[:2], here[:2]) > self._by_parameters().waypoint_radius_m:
             stages.insert(0, _Stage(_Doing.LEGS, self._leg(above), (-1,)))
         return stages
 

@@ -14,6 +14,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.endpoint import Endpoint, Peer, open_endpoint, parse_url
+from missionplanner.autopilot_parameters import held
 from missionplanner.errors import LinkError, MissionError
 from missionplanner.geodesy import FloatArray, GeoPoint, LocalFrame
 from missionplanner.mission import VehicleSettings
@@ -85,7 +86,8 @@ class SimFleet:
         for i, vehicle in enumerate(vehicles):
             kind = personality(vehicle.autopilot, vehicle.vehicle_class)
             sysid_name = "SYSID_THISMAV" if vehicle.autopilot == "ardupilot" else "MAV_SYS_ID"
-            parameters = {sysid_name: vehicle.sysid, **kind.motion_parameters(vehicle.motion), **kind.parameters}
+            moving = held((vehicle.autopilot, vehicle.vehicle_class), vehicle.motion)
+            parameters = {sysid_name: vehicle.sysid, **moving, **kind.parameters}
             autopilot = Autopilot(
                 kind,
                 motion=vehicle.motion,

@@ -16,7 +16,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.mission_items import MissionItem
-from missionplanner.vehicle import Autopilot, MotionModel, VehicleClass
+from missionplanner.vehicle import Autopilot, VehicleClass
 
 
 class Behaviour(Enum):
@@ -96,8 +96,7 @@ class Personality:
     not_ready_text: str
     no_mission_text: str
     speed_parameter: tuple[str, float]  # its name, and its unit in m/s
-    motion_parameters: Callable[[MotionModel], Mapping[str, int | float]]  # what shows the navigator's settings
-    parameters: Mapping[str, int | float]  # the others; integers are INT32, floats REAL32
+    parameters: Mapping[str, int | float]  # beside those of its motion model; integers are INT32, floats REAL32
     return_height_m: ReturnHeight
     speed_limit_parameters: tuple[str, str] | None = None  # speeds commanded outside are ignored
 
@@ -388,55 +387,6 @@ _PX4_CAPABILITIES = _COMMON_CAPABILITIES | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM
 _RELEASE = 255  # FIRMWARE_VERSION_TYPE_OFFICIAL
 
 
-def _copter_parameters(motion: MotionModel) -> Mapping[str, int | float]:
-    return {
-        "WPNAV_SPEED": 1000.0,
-        "WPNAV_SPEED_UP": 100.0 * motion.climb_rate_m_s,
-        "WPNAV_SPEED_DN": 100.0 * motion.descent_rate_m_s,
-        "WPNAV_ACCEL": 100.0 * motion.acceleration_m_s2,
-        "WPNAV_JERK": motion.jerk_m_s3,
-        "WPNAV_RADIUS": 100.0 * motion.waypoint_radius_m,
-        "ANGLE_MAX": 3000,
-        "LAND_SPEED": 50,
-    }
-
-
-def _plane_parameters(motion: MotionModel) -> Mapping[str, int | float]:
-    return {
-        "AIRSPEED_CRUISE": motion.cruise_speed_m_s,
-        "AIRSPEED_MIN": 9.0,
-        "AIRSPEED_MAX": 30.0,
-        "WP_RADIUS": motion.waypoint_radius_m,
-        "WP_LOITER_RAD": motion.loiter_radius_m,
-        "TECS_CLMB_MAX": motion.climb_rate_m_s,
-        "TECS_SINK_MAX": motion.descent_rate_m_s,
-    }
-
-
-def _px4_copter_parameters(motion: MotionModel) -> Mapping[str, int | float]:
-    return {
-        "MPC_XY_CRUISE": 5.0,
-        "MPC_XY_VEL_MAX": 12.0,
-        "MPC_ACC_HOR": motion.acceleration_m_s2,
-        "MPC_JERK_AUTO": motion.jerk_m_s3,
-        "MPC_Z_V_AUTO_UP": motion.climb_rate_m_s,
-        "MPC_Z_V_AUTO_DN": motion.descent_rate_m_s,
-        "NAV_ACC_RAD": motion.waypoint_radius_m,
-    }
-
-
-def _px4_plane_parameters(motion: MotionModel) -> Mapping[str, int | float]:
-    return {
-        "FW_AIRSPD_TRIM": motion.cruise_speed_m_s,
-        "FW_AIRSPD_MIN": 10.0,
-        "FW_AIRSPD_MAX": 20.0,
-        "FW_T_CLMB_MAX": motion.climb_rate_m_s,
-        "FW_T_SINK_MAX": motion.descent_rate_m_s,
-        "NAV_ACC_RAD": motion.waypoint_radius_m,
-        "NAV_LOITER_RAD": motion.loiter_radius_m,
-    }
-
-
 _RTL_ALT_MIN_M = 0.3
 _CONE_SLOPE_MIN = 0.5  # shallower cones are none
 
@@ -504,19 +454,21 @@ _ARDUCOPTER = Personality(
     not_ready_text="Arm: Need Position Estimate",
     no_mission_text="Mode change to AUTO failed: init failed",
     speed_parameter=("WPNAV_SPEED", 0.01),
-    motion_parameters=_copter_parameters,
     # AUTO_OPTIONS 2: a simulated pilot has no throttle stick to raise before a take-off in AUTO
     parameters=MappingProxyType(
         {
+            "ANGLE_MAX": 3000,
             "ARMING_CHECK": 1,
             "AUTO_OPTIONS": 2,
             "DISARM_DELAY": 10,
+            "LAND_SPEED": 50,
             "MIS_RESTART": 0,
             "RTL_ALT": 1500,
             "RTL_ALT_TYPE": 0,
             "RTL_CLIMB_MIN": 0,
             "RTL_CONE_SLOPE": 3.0,
             "RTL_LOIT_TIME": 5000,
+            "WPNAV_SPEED": 1000.0,
         }
     ),
     return_height_m=_copter_return_height_m,
@@ -532,8 +484,9 @@ _ARDUPLANE = replace(
     cold_start_s=23.0,
     speed_parameter=("AIRSPEED_CRUISE", 1.0),
     speed_limit_parameters=("AIRSPEED_MIN", "AIRSPEED_MAX"),
-    motion_parameters=_plane_parameters,
-    parameters=MappingProxyType({"ARMING_CHECK": 1, "MIS_RESTART": 0, "RTL_ALTITUDE": 100.0}),
+    parameters=MappingProxyType(
+        {"AIRSPEED_MAX": 30.0, "AIRSPEED_MIN": 9.0, "ARMING_CHECK": 1, "MIS_RESTART": 0, "RTL_ALTITUDE": 100.0}
+    ),
     return_height_m=_plane_return_height_m,
 )
 _PX4_COPTER = Personality(
@@ -565,13 +518,14 @@ _PX4_COPTER = Personality(
     not_ready_text="Arming denied: Resolve system health failures first",
     no_mission_text="Mission rejected: no valid mission",
     speed_parameter=("MPC_XY_CRUISE", 1.0),
-    motion_parameters=_px4_copter_parameters,
     parameters=MappingProxyType(
         {
             "COM_DISARM_LAND": 2.0,
             "COM_DISARM_PRFLT": 10.0,
             "MIS_TAKEOFF_ALT": 2.5,
             "MIS_DIST_1WP": 10_000.0,
+            "MPC_XY_CRUISE": 5.0,
+            "MPC_XY_VEL_MAX": 12.0,
             "RTL_CONE_ANG": 45,
             "RTL_DESCEND_ALT": 30.0,
             "RTL_MIN_DIST": 10.0,
@@ -587,8 +541,15 @@ _PX4_PLANE = replace(
     vehicle_class="plane",
     type_id=mavlink.MAV_TYPE_FIXED_WING,
     speed_parameter=("FW_AIRSPD_TRIM", 1.0),
-    motion_parameters=_px4_plane_parameters,
-    parameters=MappingProxyType({**_PX4_COPTER.parameters, "RTL_DESCEND_ALT": 100.0, "RTL_RETURN_ALT": 100.0}),
+    parameters=MappingProxyType(
+        {
+            **{name: value for name, value in _PX4_COPTER.parameters.items() if not name.startswith("MPC_")},
+            "FW_AIRSPD_MAX": 20.0,
+            "FW_AIRSPD_MIN": 10.0,
+            "RTL_DESCEND_ALT": 100.0,
+            "RTL_RETURN_ALT": 100.0,
+        }
+    ),
     return_height_m=_px4_plane_return_height_m,
 )
 

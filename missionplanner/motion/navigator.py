@@ -68,6 +68,7 @@ class Navigator:
         self._floats = np.zeros((n, FLOATS))
         self._integers = np.zeros((n, INTEGERS), dtype=np.int64)
         self._routes = np.zeros((n, 1, ROUTE))
+        self._models = list(models)
         for i, model in enumerate(models):
             self._floats[i], self._integers[i] = initial(model, positions[i])
 
@@ -123,6 +124,13 @@ class Navigator:
         self._integers[i, COUNT] = count
         self._integers[i, [WAYPOINT, PHASE, HALTED]] = 0, STARTING, 0
         self._floats[i, [ELAPSED, BRAKED, NEW_SPEED]] = 0.0, 0.0, np.nan
+
+    def retune(self, i: int, model: MotionModel) -> None:
+        """Fly vehicle ``i`` by another model of its kind from now on."""
+        before, after = (initial(tuned, np.zeros(3))[0] for tuned in (self._models[i], model))
+        moved = (before != after) & ~(np.isnan(before) & np.isnan(after))
+        self._floats[i, moved] = after[moved]
+        self._models[i] = model
 
     def set_speed(self, i: int, speed_m_s: float) -> None:
         """Fly the rest of the route at another speed, as soon as the autopilot's navigator can."""
