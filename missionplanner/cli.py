@@ -59,6 +59,10 @@ Unproven = Annotated[
 ConnectUrls = Annotated[str, typer.Option("--connect", metavar="URL[,URL...]", help="links to the vehicles")]
 
 
+class _Told(SystemExit):
+    """An end whose reason has been told, and printed as JSON where that was asked for."""
+
+
 def main() -> None:
     """Run the command line and turn our errors into one line and an exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
@@ -69,6 +73,8 @@ def main() -> None:
         if "--json" in sys.argv:
             print(json.dumps({"error": {"message": str(error), "exit_code": error.exit_code}}))
         sys.exit(error.exit_code)
+    except _Told:
+        raise
     except SystemExit as ended:
         if ended.code == MissionError.exit_code and "--json" in sys.argv:  # wrong usage, told on stderr
             message = "expected the arguments and options that --help tells"
@@ -463,23 +469,92 @@ def report(folder: PlanFolder, as_json: AsJson = False) -> None:
 
 
 @app.command()
+def replay(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="TLOG...", help="telemetry logs, one per vehicle or of all; default: FOLDER/logs"),
+    ] = None,
+    plan_folder: Annotated[
+        Path, typer.Option("--plan", metavar="FOLDER", help="plan folder whose missions were flown")
+    ] = Path(),
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="default: replay in the plan folder")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Hold recorded flights against their plan: cross-track, along-track and time errors, arrivals, separation."""
+    from adapters.flown_logs import read_flown
+    from missionplanner.files import ensure_writable
+    from missionplanner.plan_folder import load_plan
+    from missionplanner.replay import replay as hold_against
+    from missionplanner.replay import save_replay
+    from missionplanner.report import write_replay
+
+    if plan_folder == Path() and not (plan_folder / "plan.json").exists():
+        raise MissionError("--plan: expected the plan folder whose missions were flown")
+    paths = logs or sorted((plan_folder / LOGS).glob("*.tlog"))
+    if not paths:
+        raise MissionError(f"replay: expected telemetry logs (.tlog), got none, and none are in {plan_folder / LOGS}")
+    _, fleet_plan = load_plan(plan_folder)
+    folder = output or plan_folder / "replay"
+    found = read_flown(paths, fleet_plan)
+    ensure_writable(folder)
+    fleet = hold_against(fleet_plan, found.flown, found.reached_s)
+    document = {"mission": fleet_plan.mission.name} | fleet.as_json() | found.as_json()
+    with _stderr.status("writing the report"):
+        files = save_replay(folder, fleet, document)
+        page = write_replay(
+            folder,
+            fleet_plan.mission,
+            fleet,
+            start=found.start_words,
+            troubles=found.problems,
+            remarks=found.notes,
+        )
+    files = {"report": page, **files}
+    if as_json:
+        _print_json(document | {"files": {name: str(path) for name, path in files.items()}})
+    else:
+        from missionplanner.summary import replay_lines, replay_table
+
+        _stdout.print(replay_table(document))
+        for line in [*replay_lines(document), *(f"{what}: {path}" for what, path in files.items())]:
+            _stdout.print(line, soft_wrap=True, highlight=False, markup=False)
+    for problem in found.problems:
+        print(f"missionplanner: {problem}", file=sys.stderr)
+    if found.problems:
+        raise _Told(MissionError.exit_code)
+
+
+@app.command()
 def experiment(
-    name: Annotated[Literal["proof"], typer.Argument(metavar="NAME", help="proof: soundness, tightness and speed")],
+    name: Annotated[
+        Literal["proof", "fidelity"],
+        typer.Argument(
+            metavar="NAME", help="proof: soundness, tightness and speed; fidelity: predicted against recorded flights"
+        ),
+    ],
     output: Output = None,
     seed: Annotated[int, typer.Option(min=0)] = 1,
-    quick: Annotated[bool, typer.Option("--quick", help="a small part of it, in half a minute")] = False,
-    mission: Annotated[Path, typer.Option(help="mission file whose terrain is used")] = Path(
+    quick: Annotated[bool, typer.Option("--quick", help="proof: a small part of it, in half a minute")] = False,
+    mission: Annotated[Path, typer.Option(help="proof: mission file whose terrain is used")] = Path(
         "missions/san_gabriel.yaml"
     ),
     samples: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="proof: also check the .plan and .waypoints files there")
     ] = None,
+    flights: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="fidelity: recorded flights (docs/FIDELITY.md)")
+    ] = None,
+    update: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="fidelity: Markdown file whose table is brought up to date")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Measure this software: results, tables and figures go to a folder (default: out/experiment_NAME)."""
-    from missionplanner.experiments import proof
-
     folder = output or Path("out") / f"experiment_{name}"
+    if (name == "fidelity") != (flights is not None):
+        raise MissionError("--flights: expected with fidelity, a folder of recorded flights; and only there")
     with _progress() as progress:
         bars: dict[str, TaskID] = {}
 
@@ -488,11 +563,23 @@ def experiment(
                 bars[what] = progress.add_task(what, total=1.0)
             progress.update(bars[what], completed=done)
 
-        figures = proof.main(folder, mission=mission, seed=seed, quick=quick, samples=samples, progress=show)
+        if flights is not None:
+            from missionplanner.experiments import fidelity
+
+            figures = fidelity.main(folder, flights=flights, update=update, progress=show)
+        else:
+            from missionplanner.experiments import proof
+
+            figures = proof.main(folder, mission=mission, seed=seed, quick=quick, samples=samples, progress=show)
     if as_json:
         _print_json(figures)
     else:
         _stdout.print((folder / "results.md").read_text(encoding="utf-8"), markup=False, highlight=False)
+    unreadable = figures.get("unreadable", [])
+    for flight in unreadable:
+        print(f"missionplanner: {flight['error']}", file=sys.stderr)
+    if unreadable:
+        raise _Told(MissionError.exit_code)
 
 
 @app.command()

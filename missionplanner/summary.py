@@ -222,3 +222,48 @@ def _least(clearances: list[dict[str, Any]], kind: str) -> str:
 
 def _apart(c: dict[str, Any]) -> str:
     return f"{c['distance_m']:.1f} m (>= {c['required_m']:g} m), {c['to']}, at {c['t_s']:.0f} s"
+
+
+def replay_table(found: dict[str, Any]) -> Table:
+    """Return one row per replayed vehicle; errors along the way are those before its arrival."""
+    table = Table(
+        title=f"{found['mission']}, flown against planned (above 0: late, ahead)",
+        box=box.SIMPLE,
+        title_justify="left",
+        padding=(0, 1),
+    )
+    table.add_column("vehicle", no_wrap=True)
+    headings = ("arrival\ns", "late\ns", "late at most,\non the way s", "cross-track\n95 % m", "\nmost m")
+    for heading in (*headings, "height\nmost m", "along-track\n95 % m", "\nmost m"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in found["vehicles"]:
+        late, arrival_s = row["time_error_s"], row["arrival_s"]
+        table.add_row(
+            row["name"],
+            "never" if arrival_s is None else f"{arrival_s:.1f}",
+            "" if row["arrival_error_s"] is None else f"{row['arrival_error_s']:+.2f}",
+            f"{max(late['least'], late['most'], key=abs):+.2f}",
+            f"{row['cross_track_m']['p95']:.2f}",
+            f"{row['cross_track_m']['worst']:.2f}",
+            f"{row['above_m']['worst']:.2f}",
+            f"{row['along_track_m']['p95']:.2f}",
+            f"{max(row['along_track_m']['least'], row['along_track_m']['most'], key=abs):+.2f}",
+        )
+    return table
+
+
+def replay_lines(found: dict[str, Any]) -> list[str]:
+    """Return what is to be said of a replayed fleet."""
+    fleet, lines = found["fleet"], []
+    if len(found["vehicles"]) > 1:
+        spread_s = fleet["arrival_spread_s"]
+        flown = "not all arrived" if spread_s is None else f"{spread_s:.2f} s"
+        lines.append(f"arrivals from first to last: {flown} (planned {fleet['planned_arrival_spread_s']:.2f} s)")
+    near = fleet["separation"]
+    if near is not None:
+        verdict = "" if near["ok"] else ": TOO CLOSE"
+        lines.append(
+            f"least separation flown: {near['distance_m']:.1f} m, {near['between']}, at {near['t_s']:.1f} s "
+            f"({near['required_m']:g} m required){verdict}"
+        )
+    return [*lines, found["start"]["told"], *found["notes"]]

@@ -9,14 +9,17 @@ from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from missionplanner.certificate import Certificate
 from missionplanner.files import write_atomic
+from missionplanner.mission import Mission
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan
-from missionplanner.report import charts, style
+from missionplanner.replay import FleetReplay, VehicleReplay
+from missionplanner.report import charts, replays, style
 from missionplanner.report.facts import Course, Facts, Sketch, VehicleFacts, collect, sketch_of
 from missionplanner.report.maps import detail_maps, fleet_map
 from missionplanner.report.shapes import Shape, shapes
@@ -27,6 +30,7 @@ from missionplanner.sortie import Sortie
 
 REPORT_NAME = "report.html"
 CHECK_NAME = "check.html"
+REPLAY_NAME = "replay.html"
 PICTURES_NAME = "pictures"
 _PROFILES_DRAWN = 12
 _REASONS_SHOWN = 20
@@ -87,6 +91,13 @@ class _ClearanceRow:
     flown_where: str
 
 
+@dataclass(frozen=True, slots=True)
+class _ReplayRow:
+    name: str
+    colour: str
+    cells: tuple[str, ...]
+
+
 def write_report(folder: Path, scene: Scene, plan: FleetPlan, flight: FleetFlight | None = None) -> Path:
     """Write ``report.html`` and ``pictures/*.png`` into ``folder`` and return the page's path.
 
@@ -138,6 +149,110 @@ def write_check_report(folder: Path, scene: Scene, certificate: Certificate, sor
         subject="missions as they are held",
         tiles=tuple(_least_tiles(sketch)),
         proof=section(certificate, sketch.findings, scene.frame),
+    )
+
+
+def write_replay(
+    folder: Path, mission: Mission, fleet: FleetReplay, *, start: str, troubles: Sequence[str], remarks: Sequence[str]
+) -> Path:
+    """Write ``replay.html`` and ``pictures/*.png`` of recorded flights beside their plan, and return the page's path.
+
+    Parameters
+    ----------
+    start : what the times are counted from
+    troubles : what could not be replayed
+    remarks : what a reader should know besides
+
+    Raises
+    ------
+    MissionError
+        The folder cannot be written to.
+    """
+    return _write(
+        folder / REPLAY_NAME,
+        _replay_pictures(fleet),
+        mission=mission,
+        eyebrow="Replay",
+        subject="flown against planned",
+        headline=_replay_headline(fleet, troubles),
+        troubles=troubles,
+        remarks=remarks,
+        start=start,
+        tiles=tuple(_replay_tiles(fleet)),
+        vehicles=tuple(_replay_row(i, v) for i, v in enumerate(fleet.vehicles)),
+    )
+
+
+def _replay_pictures(fleet: FleetReplay) -> Iterator[_Picture]:
+    with style.look():
+        yield _picture(
+            "errors", "Off the plan, over time", replays.errors(fleet), "Late: flown less planned time at the same "
+            "place. Ahead: along the path, of where the plan has it at that time. Right, above: of the planned flight.",
+            "Time, along-track, cross-track and height errors of each vehicle over time.",
+        )  # fmt: skip
+        yield _picture("arrivals", "Arrival", replays.arrivals(fleet), "", "Planned and flown arrival of each vehicle.")
+        if fleet.separation is not None:
+            yield _picture(
+                "apart", "Distance between the vehicles", replays.apart(fleet), "",
+                "Distances between the flown vehicles over time.",
+            )  # fmt: skip
+        yield _picture(
+            "ways", "From above", replays.ways(fleet), "Broad: planned flight. Thin: flown. Circles: waypoints.",
+            "Map of the planned and the flown paths.",
+        )  # fmt: skip
+
+
+def _replay_headline(fleet: FleetReplay, troubles: Sequence[str]) -> str:
+    known = [v for v in fleet.vehicles if v.arrival_error_s is not None]
+    if troubles:
+        return "Not everything could be replayed."
+    if len(known) < len(fleet.vehicles):
+        return f"{len(fleet.vehicles) - len(known)} of {len(fleet.vehicles)} vehicles never reached their goals."
+    worst = max(known, key=lambda v: abs(v.arrival_error_s or 0.0))
+    late_s = worst.arrival_error_s or 0.0
+    return f"All arrived; {worst.plan.name} was furthest off its time, {abs(late_s):.2f} s {_late_or_early(late_s)}."
+
+
+def _late_or_early(late_s: float) -> str:
+    return "late" if late_s >= 0.0 else "early"
+
+
+def _replay_tiles(fleet: FleetReplay) -> Iterator[_Tile]:
+    if len(fleet.vehicles) > 1:
+        spread_s = fleet.arrival_spread_s
+        yield _Tile(
+            "arrivals flown", "incomplete" if spread_s is None else f"{spread_s:.2f} s",
+            f"from first to last; planned {fleet.planned_spread_s:.2f} s", bad=spread_s is None,
+        )  # fmt: skip
+    late = max(fleet.vehicles, key=lambda v: abs(v.arrival_error_s or 0.0))
+    if late.arrival_error_s is not None:
+        yield _Tile("furthest off its arrival", f"{late.arrival_error_s:+.2f} s", f"{late.plan.name}; above 0: late")
+    off = max(fleet.vehicles, key=lambda v: float(v.off_path_m[v.en_route].max()))
+    yield _Tile("most off the path", f"{off.off_path_m[off.en_route].max():.1f} m", f"{off.plan.name}; before arrival")
+    near = fleet.separation
+    if near is not None:
+        note = f"flown; {near.required_m:g} m required; {near.what}"
+        yield _Tile("least between vehicles", f"{floored(near.distance_m, 1)} m", note, bad=not near.ok)
+
+
+def _replay_row(index: int, v: VehicleReplay) -> _ReplayRow:
+    on = v.en_route
+    late, side, along = v.time_error_s[on], np.abs(v.cross_track_m[on]), np.abs(v.along_error_m[on])
+    arrival_s, error_s = v.flown.arrival_s, v.arrival_error_s
+    return _ReplayRow(
+        v.plan.name,
+        style.vehicle_colour(index),
+        (
+            f"{v.plan.arrival_s:.1f}",
+            "never" if arrival_s is None else f"{arrival_s:.1f}",
+            "" if error_s is None else f"{error_s:+.2f}",
+            f"{late[np.argmax(np.abs(late))]:+.2f}",
+            f"{np.percentile(side, 95):.2f}",
+            f"{side.max():.2f}",
+            f"{np.abs(v.above_m[on]).max():.2f}",
+            f"{np.percentile(along, 95):.2f}",
+            f"{along.max():.2f}",
+        ),
     )
 
 
