@@ -5,8 +5,10 @@ Read by name, several at once: only those that the motion model knows matter, so
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -20,6 +22,7 @@ from missionplanner.autopilot_parameters import (
     Kind,
     defaults,
     differences,
+    find,
     missing,
     parameters,
     same,
@@ -27,7 +30,8 @@ from missionplanner.autopilot_parameters import (
     value_of,
 )
 from missionplanner.errors import LinkError
-from missionplanner.vehicle import Autopilot, MotionModel, VehicleClass
+from missionplanner.mission import Mission
+from missionplanner.vehicle import Autopilot, MotionModel, VehicleClass, motion_model
 
 _NO_AUTOPILOT = int(mavlink.MAV_AUTOPILOT_INVALID)  # a ground station, a camera
 
@@ -73,6 +77,21 @@ class Comparison:
         more = f" (and {len(others)} more: {'; '.join(others)})" if others else ""
         return f"{self.vehicle}: {told}{more}"
 
+    def as_json(self, held: HeldParameters) -> dict[str, Any]:
+        """Return it with what is held, for machines."""
+        kind: Kind = (held.autopilot, held.vehicle_class)
+        values = {name: parameter.value for name, parameter in sorted(held.values.items())}
+        return {
+            "name": self.vehicle,
+            "sysid": held.sysid,
+            "autopilot": held.autopilot,
+            "class": held.vehicle_class,
+            "parameters": {name: value if math.isfinite(value) else None for name, value in values.items()},
+            "sets": {name: meaning for name, value in values.items() if (meaning := _meaning(kind, name, value))},
+            "differences": [asdict(difference) for difference in self.differences],
+            "missing": [*self.unheld, *self.absent],
+        }
+
 
 def compared(vehicle: str, model: MotionModel, values: Mapping[str, ParameterValue]) -> Comparison:
     """Return how what a vehicle holds compares with the motion model that it was planned with."""
@@ -92,6 +111,15 @@ def compared(vehicle: str, model: MotionModel, values: Mapping[str, ParameterVal
             )
     found = differences(kind, model, {name: held.value for name, held in values.items()})
     return Comparison(vehicle, found, tuple(unheld), tuple(absent))
+
+
+def _meaning(kind: Kind, name: str, value: float) -> str:
+    """Return what a parameter sets in the motion model; empty where it is none of its."""
+    found = find(kind, name)
+    if found is None:
+        return ""
+    parameter, spelling = found
+    return f"{parameter.field} = {value / spelling.per_unit:g} {parameter.unit}".rstrip()
 
 
 def reading_motion(
@@ -145,6 +173,33 @@ def read_parameters(
     peers = {k: station.peers[k] for k in wanted}
     station.together({k: reading(peer) for k, peer in peers.items()})
     return dict(sorted(found.items()))
+
+
+def check_parameters(found: Iterable[HeldParameters], mission: Mission | None) -> list[Comparison]:
+    """Compare what vehicles hold with what a mission assumes of the vehicles with these sysids; None: with nothing.
+
+    Raises
+    ------
+    LinkError
+        The mission has no vehicle of that sysid, or it is another autopilot's or class's.
+    """
+    if mission is None:
+        return [Comparison(f"vehicle {held.sysid}", (), (), ()) for held in found]
+    asked = {vehicle.sysid or index: vehicle for index, vehicle in enumerate(mission.vehicles, start=1)}
+    comparisons: list[Comparison] = []
+    for held in found:
+        vehicle = asked.get(held.sysid)
+        if vehicle is None:
+            raise LinkError(
+                f"vehicle {held.sysid}: expected one of the mission's sysids ({', '.join(map(str, asked))})"
+            )
+        if (held.autopilot, held.vehicle_class) != (vehicle.autopilot, vehicle.vehicle_class):
+            raise LinkError(
+                f"{vehicle.name} (sysid {held.sysid}): expected {vehicle.autopilot} {vehicle.vehicle_class}, got "
+                f"{held.autopilot} {held.vehicle_class}: the wrong vehicle, or correct the mission file"
+            )
+        comparisons.append(compared(vehicle.name, motion_model(vehicle), held.values))
+    return comparisons
 
 
 class _Listener(Station[Peer]):

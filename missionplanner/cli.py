@@ -456,6 +456,72 @@ def _leave(link: FleetLink, *, simulated: bool) -> None:
 
 
 @app.command()
+def parameters(
+    connect: ConnectUrls,
+    sysid: Annotated[int | None, typer.Option(min=1, max=255, help="only this vehicle; default: all heard")] = None,
+    mission: Annotated[
+        Path | None, typer.Option(metavar="MISSION", help="say what differs from what this mission file assumes")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="save them: .param, .parm or .params (QGroundControl)"),
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="all there are, not only those that decide its flight")] = (
+        False
+    ),
+    as_json: AsJson = False,
+) -> None:
+    """Read the parameters that decide how vehicles fly; with --mission, exit code 3 where they differ from it."""
+    from adapters.endpoint import open_endpoint
+    from adapters.fleet_link import WallClock
+    from adapters.vehicle_parameters import check_parameters, read_parameters
+    from missionplanner.parameter_files import expect_suffix, write_parameters
+    from missionplanner.summary import parameter_table
+
+    if output is not None:
+        expect_suffix(output)
+    question = None if mission is None else _resolved(mission)
+    expected = None if sysid is None else [sysid]
+    if question is not None and expected is None:
+        expected = [vehicle.sysid or index for index, vehicle in enumerate(question.vehicles, start=1)]
+    with ExitStack() as stack:
+        endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in _urls(connect)]
+        progress = stack.enter_context(_progress())
+        found = read_parameters(
+            endpoints,
+            WallClock(endpoints),
+            expected=expected,
+            everything=everything,
+            progress=_transfer_bars(progress, "reading"),
+        )
+    if output is not None and len(found) != 1:
+        heard = ", ".join(map(str, found))
+        raise MissionError(f"--output: expected one vehicle, heard sysids {heard}: choose one with --sysid")
+    checked = check_parameters(found.values(), question)
+    for vehicle in checked:
+        for told in vehicle.absent:
+            print(f"missionplanner: {told}", file=sys.stderr)
+    if output is not None:
+        held = next(iter(found.values()))
+        values = {name: parameter.value for name, parameter in held.values.items()}
+        types = {name: parameter.kind for name, parameter in held.values.items()}
+        write_parameters(
+            output, values, held.sysid, types, f"{held.autopilot} {held.vehicle_class}, sysid {held.sysid}"
+        )
+    rows = [vehicle.as_json(held) for vehicle, held in zip(checked, found.values(), strict=True)]
+    if as_json:
+        _print_json({"vehicles": rows} | ({} if output is None else {"file": str(output)}))
+    else:
+        for row in rows:
+            _stdout.print(parameter_table(row))
+        if output is not None:
+            _stdout.print(f"file: {output}", soft_wrap=True, highlight=False)
+    problems = [vehicle.problem for vehicle in checked if vehicle.problem is not None]
+    if problems:
+        raise _verdict("; ".join(problems))
+
+
+@app.command()
 def report(folder: PlanFolder, as_json: AsJson = False) -> None:
     """Write FOLDER/report.html: proof, maps, profiles, separation, arrival windows, and the flight if flown."""
     from adapters.certificates import certify_plan
@@ -594,6 +660,16 @@ def _mission(path: Path) -> Mission:
     from missionplanner.mission import load_mission
 
     return load_mission(path)
+
+
+def _resolved(path: Path) -> Mission:
+    """Load a mission file, with what its parameter files say."""
+    from missionplanner.mission import with_parameter_files
+
+    try:
+        return with_parameter_files(_mission(path), path.parent)
+    except MissionError as error:
+        raise MissionError(f"{path}: {error}") from error
 
 
 def _scene(path: Path, algorithm: str | None = None) -> Scene:

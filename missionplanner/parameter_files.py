@@ -97,6 +97,18 @@ def parse_parameters(text: str, source: str) -> dict[str, FileValue]:
     return found
 
 
+def expect_suffix(path: Path) -> None:
+    """Check that a file's name tells what kind it is to be.
+
+    Raises
+    ------
+    MissionError
+        It does not.
+    """
+    if path.suffix not in SUFFIXES:
+        raise MissionError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}, got {path.suffix!r}")
+
+
 def write_parameters(
     path: Path, values: Mapping[str, float], sysid: int, types: Mapping[str, int], remark: str
 ) -> None:
@@ -107,19 +119,18 @@ def write_parameters(
     MissionError
         Another suffix, or a place that cannot be written to.
     """
+    expect_suffix(path)
     ordered = sorted(values.items())
     match path.suffix:
         case ".param":
             lines = [f"{name},{shown(value)}" for name, value in ordered]
         case ".parm":
             lines = [f"{name:<16} {shown(value)}" for name, value in ordered]
-        case ".params":
+        case _:
             lines = [
                 f"{sysid}\t{AUTOPILOT_COMPONENT}\t{name}\t{shown(value)}\t{types.get(name, REAL32)}"
                 for name, value in ordered
             ]
-        case _:
-            raise MissionError(f"{path}: expected a name that ends in {', '.join(SUFFIXES)}, got {path.suffix!r}")
     write_atomic(path, "\n".join([f"# {remark}", *lines]) + "\n")
 
 

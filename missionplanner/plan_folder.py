@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from missionplanner import planner, proof
+from missionplanner.autopilot_parameters import differences, held, shown
 from missionplanner.certificate import Certificate
 from missionplanner.errors import MissionError
 from missionplanner.files import ensure_writable, write_atomic
@@ -73,6 +74,7 @@ class _VehicleRecord(_Record):
     hold_s: tuple[Annotated[float, Field(ge=0)], ...]
     start_delay_s: Annotated[float, Field(ge=0)]
     return_height_m: Annotated[float, Field(gt=0)]
+    parameters: dict[str, float] = {}
     window_s: tuple[float, float]
     cost: float
     cost_terms: dict[str, float]
@@ -352,6 +354,10 @@ def _misfit(task: VehicleTask, record: _VehicleRecord, delay_min_s: float) -> st
     for speed_m_s in record.speeds_m_s:
         if not low - SPEED_STEP_M_S <= speed_m_s <= high + SPEED_STEP_M_S:
             return f"a speed of {low:g} to {high:g} m/s, got {speed_m_s:g}"
+    moves_otherwise = differences((task.motion.autopilot, task.motion.vehicle_class), task.motion, record.parameters)
+    if moves_otherwise:
+        assumed = moves_otherwise[0]
+        return f"a plan made with {assumed.name} {shown(assumed.planned)}, got one made with {shown(assumed.held)}"
     if record.start_delay_s < delay_min_s:
         return f"a start {delay_min_s:g} s after mission start (fleet.launch_interval_s), got {record.start_delay_s:g}"
     waypoints_m = np.array([w.position_m for w in record.waypoints])
@@ -398,6 +404,7 @@ def _vehicle(vehicle: VehiclePlan, frame: LocalFrame) -> dict[str, Any]:
         "hold_s": vehicle.hold_s.tolist(),
         "start_delay_s": vehicle.start_delay_s,
         "return_height_m": vehicle.motion.return_height_m,
+        "parameters": held((vehicle.autopilot, vehicle.vehicle_class), vehicle.motion),
         "window_s": list(vehicle.window_s),
         "arrival_s": vehicle.arrival_s,
         "landed_s": float(vehicle.trajectory.t_s[-1]),

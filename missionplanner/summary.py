@@ -12,6 +12,7 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from missionplanner.autopilot_parameters import shown
 from missionplanner.certificate import Certificate, Check, Finding
 from missionplanner.flight_check import FlightCheck
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan
@@ -151,6 +152,21 @@ def moves_table(moves: Sequence[Mapping[str, Any]]) -> Table:
             f"{after['lat_deg']:.7f}, {after['lon_deg']:.7f}",
             f"{after['alt_amsl_m']:.2f}",
         )
+    return table
+
+
+def parameter_table(vehicle: Mapping[str, Any]) -> Table:
+    """Return one row per parameter of a vehicle: what it holds, what that means, and what it should hold."""
+    title = f"{vehicle['name']} (sysid {vehicle['sysid']}), {vehicle['autopilot']} {vehicle['class']}"
+    table = Table(title=title, box=box.SIMPLE, title_justify="left", padding=(0, 1))
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("holds", justify="right", no_wrap=True)
+    table.add_column("sets", no_wrap=True)
+    table.add_column("planned with", justify="right", no_wrap=True)
+    planned = {difference["name"]: difference["planned"] for difference in vehicle["differences"]}
+    for name, value in vehicle["parameters"].items():
+        wanted = Text(shown(planned[name]), "bold red") if name in planned else ""
+        table.add_row(Text(name), "-" if value is None else shown(value), Text(vehicle["sets"].get(name, "")), wanted)
     return table
 
 
