@@ -2,8 +2,8 @@
 
 Vehicles are planned one after the other, each pricing the ways of those before it; then all are timed together
 (:mod:`.schedule`, PAPER.md eq. 10) and their predicted flights held against each other (eq. 9). Of two who come too
-close, one passes at another speed or starts later, if that keeps them well apart in time and the fleet waiting only a
-little; else one is planned again around the other's flight. Then the heights at which they return are chosen, and all
+close, one passes at another speed or starts later, if that keeps them well apart in time and makes the fleet hardly
+later; else one is planned again around the other's flight. Then the heights at which they return are chosen, and all
 of it is proven (:mod:`.proof`); who is not proven is planned again with more room. What is returned has a certificate;
 else nothing is.
 """
@@ -26,7 +26,7 @@ from missionplanner.errors import InfeasibleError, MissionError, MissionPlannerE
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 from missionplanner.obstacles import CableSolid, CylinderSolid, Solid
-from missionplanner.path import evenly
+from missionplanner.path import evenly, length_m
 from missionplanner.path_search import PlannedPath, find_path
 from missionplanner.plan import FleetPlan, Resolution, Trajectory, VehiclePlan
 from missionplanner.proof import Conflict
@@ -40,16 +40,18 @@ _FELLOW_SLACK_M = 5.0
 _ROUNDS = 24
 _AVOID_S = 20.0
 """How long before and after a conflict the other's flight is kept clear of."""
-_SHIFTS_S = (5.0, -5.0, 10.0, -10.0, 20.0, -20.0, 40.0)
+_SHIFTS_S = (5.0, -5.0, 10.0, -10.0, 15.0, -15.0, 25.0, -25.0, 40.0)
 """How much later or earlier a vehicle may pass where it would meet another."""
-_LATER_MAX_S = 15.0
-"""By how much the fleet may arrive later for that."""
+_LATER_S = 3.0
+_LATER_MAX_S = 60.0
+"""By how much the fleet may arrive later for that: rather than flying around each other, and where that is not to be."""
 _OFF_S = 3.0
 """Who is parted by time alone keeps apart even if one is this much early or late."""
 _PACES = 13
 _DETOURS = 8
 _DETOUR_SHARE = 1.05
 _DETOUR_ROOM_M = 5.0
+_BENDS = (1, 2, 3, 4, 6, 8)
 _STARTS = 3
 _PROOFS = 4
 _MENDS = 8
@@ -135,7 +137,8 @@ class _Team:
         task = self._scene.tasks[index]
         detours = self._detours[index]
         for after in sorted(detours, reverse=True):
-            task = replace(task, route_m=np.insert(task.route_m, after + 1, detours[after], axis=0))
+            before, after_m = task.route_m[: after + 1], task.route_m[after + 1 :]
+            task = replace(task, route_m=np.concatenate([before, detours[after], after_m]))
         rng, wider_m = self._generators[index], self._wider_m[index]
         return _path(self._scene, [*self._overhead, *avoided], task, fellows, rng, self._watch, wider_m)
 
@@ -189,7 +192,12 @@ class _Team:
                 conflict = proof.worst_conflict(returned, plan)  # who returns at its end now does so at its own height
             if conflict is None:
                 return returned, plan
-            if not self._timed_apart(conflict, plan) and not self._part(conflict, plan, round_):
+            parted = (
+                self._timed_apart(conflict, plan, _LATER_S)
+                or self._part(conflict, plan, round_)
+                or self._timed_apart(conflict, plan, _LATER_MAX_S)
+            )
+            if not parted:
                 break
         raise InfeasibleError(
             f"{conflict}, and no new plan parted them: move their starts, goals or stops apart, set "
@@ -200,10 +208,11 @@ class _Team:
         plan = assemble(scene, self._paths, schedules, arrival_s, self._seed)
         return replace(plan, resolutions=tuple(self._resolutions))
 
-    def _timed_apart(self, conflict: Conflict, plan: FleetPlan) -> bool:
+    def _timed_apart(self, conflict: Conflict, plan: FleetPlan, later_max_s: float) -> bool:
         """Let one of two pass where they meet at another time; False where no small change keeps them well apart.
 
-        Of all that does, what makes the fleet arrive the least later, then what changes the least.
+        The fleet may arrive up to ``later_max_s`` later for it. Of all that helps, what makes it arrive the least later,
+        then what changes the least.
         """
         found: list[tuple[float, float, list[_Pin], list[float], Resolution]] = []
         before_s = plan.arrival_s
@@ -216,7 +225,7 @@ class _Team:
                     except InfeasibleError:
                         continue
                     later_s = (arrival_s or 0.0) - (before_s or 0.0)
-                    if later_s > _LATER_MAX_S:
+                    if later_s > later_max_s:
                         continue
                     trial = assemble(self._scene, self._paths, schedules, arrival_s, self._seed)
                     if self._keeps_apart(index, conflict, trial):
@@ -290,33 +299,37 @@ class _Team:
             return False
         lengths_m = np.linalg.norm(np.diff(task.route_m, axis=0), axis=1)
         longest = max(inside, key=lambda k: lengths_m[k])
-        a, b = task.route_m[longest], task.route_m[longest + 1]
+        ends = task.route_m[longest : longest + 2]
         way_m = float(lengths_m[longest])
-        bend = self._detours[index].get(longest)
-        now_m = way_m if bend is None else float(np.linalg.norm(bend - a) + np.linalg.norm(b - bend))
+        bends = self._detours[index].get(longest, np.empty((0, 3)))
+        now_m = float(length_m(np.concatenate([ends[:1], bends, ends[1:]])))
         longer_m = now_m + error.early_s * task.limits.speed_min_m_s * _DETOUR_SHARE
-        off_m = 0.5 * math.sqrt(longer_m**2 - way_m**2)
-        along = (b - a)[:2] / max(float(np.linalg.norm((b - a)[:2])), 1e-9)
+        off_m = 0.5 * math.sqrt(longer_m**2 - way_m**2)  # of one bend; several are as long together
         before, kept = self._paths[index], dict(self._detours[index])
-        for side in (1.0, -1.0):
-            across = side * off_m * np.array([-along[1], along[0], 0.0])
-            self._detours[index] = kept | {longest: self._above_ground(task, 0.5 * (a + b) + across)}
-            try:
-                path = self._path(index, self._avoided[index], self._fellows(index))
-            except MissionPlannerError:  # outside the terrain, or no way there
-                continue
-            self._replace(index, path)
-            told = f"flies {path.length_m - before.length_m:.0f} m more, to arrive {error.early_s:.0f} s later"
-            self._resolutions.append(Resolution(task.name, "", 0.0, "detour", told))
-            return True
+        for count in _BENDS:
+            for side in (1.0, -1.0):
+                try:
+                    self._detours[index] = kept | {longest: self._zigzag(task, ends, count, side * off_m / count)}
+                    path = self._path(index, self._avoided[index], self._fellows(index))
+                except MissionPlannerError:  # outside the terrain, or no way there
+                    continue
+                self._replace(index, path)
+                told = f"flies {path.length_m - before.length_m:.0f} m more, to arrive {error.early_s:.0f} s later"
+                self._resolutions.append(Resolution(task.name, "", 0.0, "detour", told))
+                return True
         self._detours[index] = kept
         return False
 
-    def _above_ground(self, task: VehicleTask, place_m: FloatArray) -> FloatArray:
-        """Return a place raised to where the vehicle may fly."""
-        ground_m = self._scene.terrain.ground_amsl_m(place_m[0], place_m[1], f"{task.name}'s detour")
-        lowest_m = ground_m + Margins.of(task.limits).height_agl_min_m + _DETOUR_ROOM_M
-        return np.array([place_m[0], place_m[1], max(place_m[2], lowest_m)])
+    def _zigzag(self, task: VehicleTask, ends_m: FloatArray, count: int, off_m: float) -> FloatArray:
+        """Return bends (count, 3) on both sides of the straight way between two places, raised to where it may fly."""
+        along = np.diff(ends_m, axis=0)[0]
+        across = np.array([-along[1], along[0], 0.0]) / max(float(np.hypot(along[0], along[1])), 1e-9)
+        shares = (np.arange(count)[:, np.newaxis] + 0.5) / count
+        bends: FloatArray = ends_m[0] + shares * along + off_m * (-1.0) ** np.arange(count)[:, np.newaxis] * across
+        for bend in bends:
+            ground_m = self._scene.terrain.ground_amsl_m(bend[0], bend[1], f"{task.name}'s detour")
+            bend[2] = max(bend[2], ground_m + Margins.of(task.limits).height_agl_min_m + _DETOUR_ROOM_M)
+        return bends
 
     def _mended(self, error: UnreturnableError, plan: FleetPlan, round_: int) -> bool:
         """Plan those again who cannot return, or not apart; False where nothing was found to help."""

@@ -12,7 +12,7 @@ import pytest
 
 from adapters.sorties import plan_sortie
 from missionplanner import proof
-from missionplanner.errors import InfeasibleError
+from missionplanner.errors import InfeasibleError, MissionError
 from missionplanner.plan import FleetPlan, Trajectory
 from missionplanner.planner import plan_fleet, returning_at
 from missionplanner.scene import Scene
@@ -106,11 +106,12 @@ def test_fleets_whose_straight_ways_cross_are_parted(vehicles: list[dict[str, An
     ],
     ids=["head-on at different speeds", "stops next to each other"],
 )
-def test_who_meets_although_their_ways_were_priced_is_planned_again(vehicles: list[dict[str, Any]]) -> None:
-    news: list[tuple[str, float]] = []
+def test_who_meets_although_their_ways_were_priced_is_parted(vehicles: list[dict[str, Any]]) -> None:
     scene = scene_of(question(*vehicles, fleet={"arrive_together": False, **WAIVED}))
-    plan = plan_fleet(scene, watch=lambda vehicle, done: news.append((vehicle, done)))
-    assert [name for name, done in news if done == 1.0].count("bravo") > 1  # else this tests nothing
+    plan = plan_fleet(scene)
+    assert plan.resolutions  # else this tests nothing
+    for resolution in plan.resolutions:
+        assert {resolution.vehicle, resolution.other} == {"alpha", "bravo"}
     assert_proven(scene, plan)
     assert least_distance_m(plan) >= APART_M - 1e-6
 
@@ -151,24 +152,124 @@ def test_the_arrival_asked_for_is_met() -> None:
 
 def test_an_arrival_too_early_or_late_names_what_can_be_had() -> None:
     _, plan = planned()
-    earliest_s, latest_s = plan.vehicles[0].window_s
+    earliest_s, _ = plan.vehicles[0].window_s
     with pytest.raises(InfeasibleError, match=rf"arrival_time_s: 30 s is too early: .* at least {earliest_s:.1f} s"):
         planned(fleet={"arrival_time_s": 30})
-    with pytest.raises(InfeasibleError, match=rf"arrival_time_s: 900 s is too late: .* at most {latest_s:.1f} s"):
-        planned(fleet={"arrival_time_s": 900})
+    _, late = planned(fleet={"arrival_time_s": 900})
+    assert late.vehicles[0].arrival_s == pytest.approx(900.0, abs=0.05)
+    assert late.vehicles[0].start_delay_s > 0.0
     _, plan = planned(fleet={"arrival_time_s": np.ceil(earliest_s * 10) / 10})
     assert plan.arrival_s == pytest.approx(earliest_s, abs=0.1)
 
 
-def test_windows_that_do_not_meet() -> None:
-    hare = copter("hare", (0, 60), (100, 60), speed_m_s={"min": 9, "max": 10})
-    tortoise = copter("tortoise", (0, 0), (900, 0), speed_m_s={"min": 2, "max": 4})
-    with pytest.raises(InfeasibleError, match=r"tortoise needs at least .* but hare cannot take longer") as raised:
-        planned(hare, tortoise)
-    # the remedy it names is one: start hare that much later
-    later_s = float(str(raised.value).partition("start hare ")[2].partition(" s later")[0])
-    _, plan = planned(tortoise, hare, fleet={"launch_interval_s": later_s + 0.1})
+HARE = copter("hare", (0, 60), (100, 60), speed_m_s={"min": 9, "max": 10})
+TORTOISE = copter("tortoise", (0, 0), (900, 0), speed_m_s={"min": 2, "max": 4})
+
+
+def test_who_would_be_too_early_starts_later() -> None:
+    _, plan = planned(HARE, TORTOISE)
+    hare, tortoise = plan.vehicles
+    assert hare.start_delay_s > 100.0
+    assert tortoise.start_delay_s == 0.0
+    assert hare.arrival_s == pytest.approx(tortoise.arrival_s, abs=0.1)
+    assert hare.arrival_s == pytest.approx(tortoise.window_s[0], abs=0.1)
+
+
+def test_or_flies_a_detour() -> None:
+    _, plan = planned(HARE, TORTOISE, fleet={"lose_time_by": "detour", **WAIVED})
+    hare, tortoise = plan.vehicles
+    assert hare.start_delay_s == 0.0
+    assert hare.length_m > 800.0
+    assert hare.arrival_s == pytest.approx(tortoise.arrival_s, abs=0.1)
+    assert [r.how for r in plan.resolutions if r.vehicle == "hare"] == ["detour"] * len(plan.resolutions)
+    roofless = {"south_west": at(-40, 20), "north_east": at(1000, 80)}
+    with pytest.raises(InfeasibleError, match=r"hare cannot take longer than .* lower its least speed"):
+        planned(HARE, copter("tortoise", (0, 40), (900, 40), speed_m_s={"min": 2, "max": 4}),
+                area=roofless, fleet={"lose_time_by": "detour", "separation_m": 5, **WAIVED})  # fmt: skip
+
+
+LINE = [copter(f"uav{k}", (0, 60 * k), (500, 60 * k), stops=[at(100 + 40 * k, 60 * k, agl=40), at(400, 60 * k, agl=45)])
+        for k in range(3)]  # fmt: skip
+
+
+def test_meetings_on_the_way() -> None:
+    names = ("uav0", "uav1", "uav2")
+    meetings = [{"name": "begin", "at": dict.fromkeys(names, 1)}, {"name": "end", "at": {"uav0": 2, "uav2": 2}}]
+    scene, plan = planned(*LINE, fleet={"rendezvous": meetings})
+    places = [[int(np.argmin(np.linalg.norm(v.waypoints_m - task.route_m[k], axis=1))) for k in (1, 2)]
+              for v, task in zip(plan.vehicles, scene.tasks, strict=True)]  # fmt: skip
+    first = [v.reached_s[begin] for v, (begin, _) in zip(plan.vehicles, places, strict=True)]
+    second = [plan.vehicles[k].reached_s[places[k][1]] for k in (0, 2)]
+    assert max(first) - min(first) <= 0.1
+    assert max(second) - min(second) <= 0.1
+    assert max(v.arrival_s for v in plan.vehicles) - min(v.arrival_s for v in plan.vehicles) <= 0.1
+    assert len(set(plan.vehicles[0].speeds_m_s.tolist())) > 1
+    assert plan.certificate is not None
+    found = [f for f in plan.certificate.findings if f.check == "rendezvous"]
+    assert [f.proven for f in found] == [True, True]
+    # a vehicle that is off its meeting is found out: by its mission, not by what the plan says
+    sorties = [proof.planned_sortie(scene, v) for v in plan.vehicles]
+    legs = tuple(replace(leg, speed_m_s=0.6 * leg.speed_m_s) for leg in sorties[1].legs)
+    certificate = proof.prove(scene, [sorties[0], replace(sorties[1], legs=legs), sorties[2]])
+    wrong = [str(f) for f in certificate.problems if f.check == "rendezvous"]
+    assert len(wrong) == 1
+    assert "begin" in wrong[0]
+
+
+@pytest.mark.parametrize(
+    ("at_", "told"),
+    [
+        (
+            {"uav0": 2, "uav1": 7},
+            r"rendezvous\[1\] \(end\): uav1: expected a place of its route, one of 0, 1, 2, got 7",
+        ),
+        ({"uav0": 0, "uav1": 2}, r"uav0: expected a place after its rendezvous before, got 0: reorder them"),
+    ],
+)
+def test_a_meeting_nowhere(at_: dict[str, int], told: str) -> None:
+    meetings = [{"name": "begin", "at": {"uav0": 1, "uav1": 1}}, {"name": "end", "at": at_}]
+    with pytest.raises(MissionError, match=told):
+        scene_of(question(*LINE, fleet={"rendezvous": meetings}))
+
+
+def test_arrival_in_order() -> None:
+    fleet = {"arrival_order": ["uav2", "uav0", "uav1"], "arrival_spacing_s": 8}
+    _, plan = planned(*LINE, fleet=fleet)
     assert plan.arrival_s is not None
+    times = {v.name: v.arrival_s - plan.arrival_s for v in plan.vehicles}
+    assert times == pytest.approx({"uav2": 0.0, "uav0": 8.0, "uav1": 16.0}, abs=0.06)
+
+
+def test_least_energy() -> None:
+    near = copter("near", (0, 60), (200, 60), endurance_s=900)
+    far = copter("far", (0, 0), (600, 0), endurance_s=900)
+    with pytest.raises(MissionError, match=r"least_energy: expected endurance_s or energy of every vehicle"):
+        planned(*LINE[:2], fleet={"arrival": "least_energy"})
+    _, fast = planned(near, far, fleet={"lose_time_by": "start_later"})
+    _, thrifty = planned(near, far, fleet={"arrival": "least_energy"})
+
+    def used(plan: FleetPlan) -> list[float]:
+        assert plan.certificate is not None
+        found = [f for f in plan.certificate.findings if f.check == "energy" and "takes" in f.detail]
+        return [f.value for f in found if f.value is not None]
+
+    assert thrifty.vehicles[0].start_delay_s > 0.0
+    assert used(thrifty)[0] < used(fast)[0] - 0.005
+    assert used(thrifty)[1] <= used(fast)[1] + 1e-6
+    assert thrifty.vehicles[0].arrival_s == pytest.approx(thrifty.vehicles[1].arrival_s, abs=0.1)
+
+
+def test_who_crosses_passes_at_another_time_before_anybody_is_planned_again() -> None:
+    # the shorter way has room to be flown slower or faster
+    long = copter("long", (0, 0), (900, 0), stops=[at(450, 0, agl=40)])
+    cross = copter("cross", (450, -300), (450, 300), stops=[at(450, 0, agl=40), at(450, 150, agl=40)])
+    scene, plan = planned(long, cross, fleet=WAIVED)
+    assert [r.how for r in plan.resolutions] in (["speed"], ["start"])
+    assert least_between_ways_m(plan) < 15.0  # else they were not parted by time
+    one, other = (v.trajectory for v in plan.vehicles)
+    required_m = proof.required_apart_m(scene, *scene.tasks)
+    for late_s in (-3.0, 0.0, 3.0):
+        assert least_between_m([Trajectory(one.t_s + late_s, one.position_m), other]) >= required_m - 0.02
 
 
 def test_a_fleet_that_cannot_be_parted_is_refused_with_its_pair() -> None:
