@@ -31,6 +31,7 @@ from sim.vehicle_link import COMPONENT_ID, VehicleLink
 _DATAGRAM_BYTES = 1_400  # several messages share a datagram up to this size
 _PEERS_MAX = 256
 _MOVING_M_S = 0.3
+_AIRBORNE_M = 1.0  # above its home, the wind turns a plane's nose away from its course
 _LAG_MAX_S = 0.5  # real time; a computer that cannot keep up runs the simulation slower instead of in bursts
 _SYSTEM_MAX = 250
 _LISTEN_PORT_STEP = 10  # as ArduPilot's SITL instances have it
@@ -81,6 +82,9 @@ class SimFleet:
         self.navigator = Navigator([v.motion for v in vehicles], homes_m)
         self.links: list[VehicleLink] = []
         self._course_rad = rng.uniform(0.0, 2.0 * math.pi, len(vehicles))
+        self._nose_rad = self._course_rad
+        self._wind_m_s = np.array([v.motion.wind_m_s for v in vehicles])
+        self._ground_amsl_m = np.where([v.vehicle_class == "plane" for v in vehicles], homes_m[:, 2], np.inf)
         self._geo_tick = -1
         self._geo: tuple[FloatArray, FloatArray] = (np.empty(0), np.empty(0))
         for i, vehicle in enumerate(vehicles):
@@ -201,6 +205,10 @@ class SimFleet:
             moving = np.hypot(velocity[:, 0], velocity[:, 1]) > _MOVING_M_S
             course = np.arctan2(velocity[:, 0], velocity[:, 1]) % (2.0 * math.pi)
             self._course_rad = np.where(moving, course, self._course_rad)
+            through = velocity[:, :2] - self._wind_m_s
+            crabbing = self.navigator.position_m[:, 2] > self._ground_amsl_m + _AIRBORNE_M
+            nose = np.arctan2(through[:, 0], through[:, 1]) % (2.0 * math.pi)
+            self._nose_rad = np.where(crabbing, nose, self._course_rad)
             self._geo_tick = self._tick
         return Motion(
             float(self._geo[0][i]),
@@ -208,6 +216,8 @@ class SimFleet:
             self.navigator.position_m[i],
             self.navigator.velocity_m_s[i],
             float(self._course_rad[i]),
+            float(self._nose_rad[i]),
+            self.vehicles[i].motion.wind_m_s,
         )
 
 

@@ -10,11 +10,14 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from missionplanner.geodesy import FloatArray
+from missionplanner.vehicle import true_airspeed
 from sim.autopilot import Autopilot
 from sim.personality import Behaviour
 
 MISSION_CURRENT = int(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
 EXTENDED_SYS_STATE = int(mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE)
+WIND = int(mavlink.MAVLINK_MSG_ID_WIND)
+WIND_COV = int(mavlink.MAVLINK_MSG_ID_WIND_COV)
 HEARTBEAT = int(mavlink.MAVLINK_MSG_ID_HEARTBEAT)
 HOME_POSITION = int(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 GLOBAL_POSITION_INT = int(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT)
@@ -67,6 +70,7 @@ _STREAMS: dict[int, tuple[int, ...]] = {
         mavlink.MAVLINK_MSG_ID_BATTERY_STATUS,
         mavlink.MAVLINK_MSG_ID_SYSTEM_TIME,
         mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT,
+        WIND,
     ),
 }
 STREAM_ALL = int(mavlink.MAV_DATA_STREAM_ALL)
@@ -80,7 +84,9 @@ class Motion:
     lon_deg: float
     position_m: FloatArray
     velocity_m_s: FloatArray
-    course_rad: float = 0.0  # where the nose points: kept while standing still
+    course_rad: float = 0.0  # over the ground: kept while standing still
+    nose_rad: float = 0.0  # a copter's follows its course, a plane's the air
+    wind_m_s: tuple[float, float] = (0.0, 0.0)  # velocity of the air: east, north
 
 
 @dataclass(slots=True)
@@ -140,6 +146,11 @@ class Telemetry:
             self._messages[mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT] = _Message(self._ekf_status_report, second)
         else:
             self._messages[mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS] = _Message(self._estimator_status, second)
+        self._plane = autopilot.personality.vehicle_class == "plane"
+        if self._plane:  # without an airspeed, copters know no wind: neither autopilot's default tells of it
+            self._messages[WIND if ardupilot else WIND_COV] = _Message(
+                self._wind if ardupilot else self._wind_cov, second
+            )
         for message in self._messages.values():
             if math.isfinite(message.interval_s):
                 message.due_s = phase_s
@@ -303,7 +314,7 @@ class Telemetry:
             round(north * 100),
             round(east * 100),
             round(-up * 100),
-            round(math.degrees(motion.course_rad) * 100) % 36_000,
+            round(math.degrees(motion.nose_rad) * 100) % 36_000,
         )
 
     def _local_position_ned(self, now_s: float) -> Any:
@@ -313,7 +324,7 @@ class Telemetry:
         return mavlink.MAVLink_local_position_ned_message(round(now_s * 1e3), y_m, x_m, -up_m, north, east, -up)
 
     def _attitude(self, now_s: float) -> Any:
-        yaw = math.remainder(self._motion().course_rad, 2 * math.pi)
+        yaw = math.remainder(self._motion().nose_rad, 2 * math.pi)
         return mavlink.MAVLink_attitude_message(round(now_s * 1e3), 0.0, 0.0, yaw, 0.0, 0.0, 0.0)
 
     def _vfr_hud(self, now_s: float) -> Any:
@@ -322,8 +333,29 @@ class Telemetry:
         east, north, up = motion.velocity_m_s
         speed = math.hypot(east, north)
         throttle = 0 if self._autopilot.landed else 40
-        heading = round(math.degrees(motion.course_rad)) % 360
-        return mavlink.MAVLink_vfr_hud_message(speed, speed, heading, throttle, motion.position_m[2], up)
+        heading = round(math.degrees(motion.nose_rad)) % 360
+        airspeed = speed  # what copters without an airspeed sensor tell
+        if self._plane:
+            wind_east, wind_north = motion.wind_m_s
+            airspeed = 0.0 if self._autopilot.landed else math.hypot(east - wind_east, north - wind_north)
+            airspeed /= true_airspeed(float(motion.position_m[2]))
+        return mavlink.MAVLink_vfr_hud_message(airspeed, speed, heading, throttle, motion.position_m[2], up)
+
+    def _wind_felt(self) -> tuple[float, float]:
+        """Return the velocity of the air, east and north, as it has been found out in flight."""
+        return (0.0, 0.0) if self._autopilot.landed else self._motion().wind_m_s
+
+    def _wind(self, now_s: float) -> Any:
+        del now_s
+        east, north = self._wind_felt()
+        return mavlink.MAVLink_wind_message(
+            math.degrees(math.atan2(0.0 - east, 0.0 - north)), math.hypot(east, north), 0.0
+        )
+
+    def _wind_cov(self, now_s: float) -> Any:
+        east, north = self._wind_felt()
+        alt_m = float(self._motion().position_m[2])
+        return mavlink.MAVLink_wind_cov_message(round(now_s * 1e6), north, east, 0.0, 0.1, 0.1, alt_m, 0.3, 0.3)
 
     def _mission_current(self, now_s: float) -> Any:
         del now_s
