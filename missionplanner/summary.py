@@ -40,7 +40,9 @@ def summarise(plan: FleetPlan, flight: FleetFlight | None = None, check: FlightC
             row["flown_arrival_s"] = None if arrival_s is None else round(arrival_s, 2)
             row["flown_clearances"] = [_clearance(c) for c in check.clearances[index]]
         vehicles.append(row)
+    wind = plan.mission.wind
     fleet: dict[str, Any] = {
+        "wind": None if wind is None else wind.model_dump(),
         "arrival_s": None if plan.arrival_s is None else round(plan.arrival_s, 2),
         "rendezvous": [str(f.detail) for f in _findings(plan.certificate, "rendezvous")],
         "resolutions": [asdict(resolution) for resolution in plan.resolutions],
@@ -99,6 +101,9 @@ def fleet_lines(summary: dict[str, Any]) -> list[str]:
     """Return the fleet's figures, a line each."""
     fleet = summary["fleet"]
     lines = _proof_lines(summary["proof"])
+    if fleet["wind"] is not None:
+        told = "{speed_m_s:g} m/s from {from_deg:g} degrees".format(**fleet["wind"])
+        lines.append(f"predicted in a steady wind of {told}")
     if fleet["arrival_s"] is not None:
         lines.append(f"common arrival: {fleet['arrival_s']:.1f} s after mission start")
     lines += [f"rendezvous {told}" for told in fleet["rendezvous"]]

@@ -130,9 +130,10 @@ def leg_problem(limits: VehicleLimits, model: MotionModel, way_m: FloatArray, sp
     least_m_s = max(least_m_s, limits.speed_min_m_s)
     if length_m == 0.0 or made_m_s < least_m_s:
         makes = "is carried off" if made_m_s <= 0.0 else f"makes {made_m_s:.1f} m/s over the ground"
+        slower = " its least speed (speed_m_s)" if least_m_s == limits.speed_min_m_s else ""
         return (
             f"({course}) cannot be flown: it makes {airspeed_m_s:.1f} m/s through the air ({from_}), and {makes} in "
-            f"{told(model)}, expected at least {least_m_s:g}: fly in less wind, or another way"
+            f"{told(model)}, expected at least{slower} {least_m_s:g}: fly in less wind, or another way"
         )
     if limits.airspeed_max_m_s < lean_m_s:  # the prediction knows the lean limit alone
         return (

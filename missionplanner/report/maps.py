@@ -417,6 +417,7 @@ def _side_panel(figure: Figure, facts: Sketch, shapes: Sequence[Shape], ground: 
     axes.set_axis_off()
     top = whole[1] - 0.14
     _north_arrow(axes, width_in - 0.16, top)
+    _wind_arrow(axes, facts, width_in - 0.62, top)
     y = top - 0.02
     for title, rows in _legend(facts, shapes, ground, box):
         axes.text(0.0, y, title, fontsize=8, fontweight="bold", va="center")
@@ -439,6 +440,20 @@ def _north_arrow(axes: Axes, x: float, top: float) -> None:
         Polygon([tip, (x + 0.075, top - 0.22), notch], facecolor="white", edgecolor=style.INK, linewidth=0.7)
     )
     axes.text(x, top - 0.30, "N", fontsize=8, fontweight="bold", ha="center", va="center")
+
+
+def _wind_arrow(axes: Axes, facts: Sketch, x: float, top: float) -> None:
+    """Draw where the wind that is planned with blows to, and how strong it is."""
+    wind = facts.scene.mission.wind
+    if wind is None or wind.speed_m_s == 0.0:
+        return
+    to = np.array(wind.velocity_m_s) / wind.speed_m_s
+    middle = np.array([x, top - 0.07])
+    axes.annotate(
+        "", middle + 0.15 * to, middle - 0.15 * to,
+        arrowprops={"arrowstyle": "-|>", "color": style.INK, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0},
+    )  # fmt: skip
+    axes.text(x, top - 0.30, f"{wind.speed_m_s:g} m/s", fontsize=7, ha="center", va="center", color=style.INK)
 
 
 def _legend(facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box) -> list[tuple[str, list[_Row]]]:
