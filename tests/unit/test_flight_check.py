@@ -15,8 +15,9 @@ from missionplanner.flight_check import airborne_part, check_flight, least_clear
 from missionplanner.geodesy import FloatArray
 from missionplanner.path_search import PlannedPath
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownVehicle, Trajectory
-from missionplanner.planner import Schedule, assemble
+from missionplanner.planner import assemble
 from missionplanner.scene import Scene
+from missionplanner.schedule import Schedule
 from tests.scenes import at, copter, question, scene_of
 
 # Level ground at 100 m; safety distances of 20 m above it, 10 m from obstacles and fence, 20 m between vehicles.
@@ -35,7 +36,11 @@ def scene(*vehicles: dict[str, Any], **changes: Any) -> Scene:
 def by_hand(scene: Scene, *lines: Line, speed_m_s: float = 5.0) -> FleetPlan:
     """Return the plan, unproven, of vehicles that fly these waypoints."""
     paths = [PlannedPath(np.array(line), np.array(line), 0.0, 0.0, {}, np.zeros(1), 0) for line in lines or (STRAIGHT,)]
-    return assemble(scene, paths, [Schedule(0.0, speed_m_s, (0.0, 1e3))] * len(paths), None, seed=1)
+    schedules = [
+        Schedule(0.0, (speed_m_s,) * legs, (0.0,) * legs, (0.0, 1e3))
+        for legs in (len(p.waypoints_m) - 1 for p in paths)
+    ]
+    return assemble(scene, paths, schedules, None, seed=1)
 
 
 def flown(plan: FleetPlan, change: Any = lambda position: position) -> FleetFlight:

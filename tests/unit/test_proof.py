@@ -22,8 +22,9 @@ from missionplanner.mission import Mission
 from missionplanner.motion.spline import spline_bezier
 from missionplanner.path_search import PlannedPath
 from missionplanner.plan import FleetPlan
-from missionplanner.planner import Schedule, assemble, returning_at
+from missionplanner.planner import assemble, returning_at
 from missionplanner.scene import Scene, build_check_scene
+from missionplanner.schedule import Schedule
 from missionplanner.sortie import Gap, Leg, Sortie
 from missionplanner.terrain_bounds import pyramid
 from tests.scenes import at, copter, question, scene_of
@@ -53,7 +54,10 @@ def by_hand(
 ) -> FleetPlan:
     """Return the checked plan of vehicles that fly these waypoints."""
     paths = [PlannedPath(np.array(line), np.array(line), 0.0, 0.0, {}, np.zeros(1), 0) for line in lines or (STRAIGHT,)]
-    schedules = [Schedule(delay_s, speed_m_s, (0.0, 1e3)) for delay_s in delays_s[: len(paths)]]
+    schedules = [
+        Schedule(delay_s, (speed_m_s,) * legs, (0.0,) * legs, (0.0, 1e3))
+        for delay_s, legs in zip(delays_s, (len(path.waypoints_m) - 1 for path in paths), strict=False)
+    ]
     return proof.checked(scene, assemble(scene, paths, schedules, arrival_s, seed=1))
 
 

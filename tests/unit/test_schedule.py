@@ -176,6 +176,20 @@ def test_real_navigators_meet_on_the_way(model: MotionModel) -> None:
             assert reached(one, schedule)[k] == pytest.approx(time_s, abs=2 * ARRIVAL_TOLERANCE_S)
 
 
+@pytest.mark.parametrize("model", [COPTER, PX4], ids=["ardupilot", "px4"])
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.55, 0.9, 1.0])
+def test_the_solved_speed_arrives_on_time(model: MotionModel, share: float) -> None:
+    way = [[0, 0, 30], [150, 20, 40], [250, 120, 50], [240, 300, 40], [400, 420, 35]]
+
+    def arrives_s(speed_m_s: float) -> float:
+        return float(reached_times(model, HOME, way, speed_m_s)[-1])
+
+    wanted_s = arrives_s(10.0) + share * (arrives_s(3.0) - arrives_s(10.0))
+    assert arrives_s(solve_speed(lambda v: arrives_s(v) - wanted_s, 3.0, 10.0)) == pytest.approx(
+        wanted_s, abs=ARRIVAL_TOLERANCE_S
+    )
+
+
 def test_a_solved_speed_is_a_multiple_of_its_step_and_the_nearest_in_time() -> None:
     assert solve_speed(lambda v: 100.0 / v - 25.0, 2.0, 10.0) == pytest.approx(4.0, abs=0.01)
     assert solve_speed(lambda v: 100.0 / v - 5.0, 2.0, 10.0) == 10.0  # never so early

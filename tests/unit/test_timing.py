@@ -1,4 +1,4 @@
-"""Arrival windows, common arrival, speeds for it, separation in closed form."""
+"""Predicted flights and arrivals, separation in closed form."""
 
 from __future__ import annotations
 
@@ -7,17 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from missionplanner.errors import InfeasibleError
 from missionplanner.plan import Trajectory
-from missionplanner.timing import (
-    ARRIVAL_TOLERANCE_S,
-    arrival_after,
-    arrival_window,
-    common_arrival,
-    least_separation,
-    predict_flight,
-    speed_for_arrival,
-)
+from missionplanner.timing import least_separation, predict_flight, reached_times
 from missionplanner.vehicle import Ending, MotionModel
 
 COPTER = MotionModel("ardupilot", "copter", 2.5, 1.0, 2.5, 1.5, 2.0, 0.0)
@@ -129,58 +120,23 @@ def test_px4_settles_at_its_goal_though_it_accepts_it_from_afar() -> None:
     assert landed.position_m[-1] == pytest.approx([400, 420, 90], abs=0.3)
 
 
-def test_the_window_is_what_the_model_flies() -> None:
-    fastest_s, slowest_s = arrival_window(COPTER, HOME, WAYPOINTS, 3.0, 10.0)
-    assert fastest_s == arrival_after(COPTER, HOME, WAYPOINTS, 10.0)
-    assert slowest_s == arrival_after(COPTER, HOME, WAYPOINTS, 3.0)
+def arrival_s(model: MotionModel, waypoints: np.ndarray, speed_m_s: float) -> float:
+    return float(reached_times(model, HOME, waypoints, speed_m_s)[-1])
+
+
+def test_arrivals_are_what_the_model_flies() -> None:
+    flight, reached_s = predict_flight(COPTER, HOME, WAYPOINTS, [10.0, 6.0, 3.0, 8.0], hold_s=[0.0, 3.0, 0.0, 0.0])
+    alone_s = reached_times(COPTER, HOME, WAYPOINTS, [10.0, 6.0, 3.0, 8.0], [0.0, 3.0, 0.0, 0.0])
+    np.testing.assert_array_equal(alone_s, reached_s)
+    assert flight.t_s[-1] > alone_s[-1]
     length_m = np.linalg.norm(np.diff(WAYPOINTS, axis=0), axis=1).sum()
-    assert fastest_s > length_m / 10.0 + 20.0  # take-off, hover, corners
+    assert arrival_s(COPTER, WAYPOINTS, 10.0) > length_m / 10.0 + 20.0  # take-off, hover, corners
 
 
-def test_short_legs_shrink_the_window() -> None:
+def test_short_legs_cap_the_speed() -> None:
     line = np.array([[10.0 * k, 0.0, 130.0] for k in range(21)])
-    fastest_s, slowest_s = arrival_window(COPTER, HOME, line, 2.0, 10.0)
-    assert slowest_s / fastest_s < 1.6  # length over speed would say 5
-    assert arrival_window(COPTER, HOME, line, 5.0, 10.0) == pytest.approx((fastest_s, fastest_s), abs=0.2)
-
-
-@pytest.mark.parametrize("model", [COPTER, PX4], ids=["arducopter", "px4"])
-@pytest.mark.parametrize("share", [0.0, 0.2, 0.55, 0.9, 1.0])
-def test_the_solved_speed_arrives_on_time(model: MotionModel, share: float) -> None:
-    fastest_s, slowest_s = arrival_window(model, HOME, WAYPOINTS, 3.0, 10.0)
-    wanted_s = fastest_s + share * (slowest_s - fastest_s)
-    speed = speed_for_arrival(model, HOME, WAYPOINTS, wanted_s, 3.0, 10.0)
-    assert 3.0 <= speed <= 10.0
-    assert round(speed, 4) == speed
-    assert arrival_after(model, HOME, WAYPOINTS, speed) == pytest.approx(wanted_s, abs=ARRIVAL_TOLERANCE_S)
-
-
-def test_a_speed_outside_the_window_is_the_nearest_end() -> None:
-    assert speed_for_arrival(COPTER, HOME, WAYPOINTS, 1.0, 3.0, 10.0) == 10.0
-    assert speed_for_arrival(COPTER, HOME, WAYPOINTS, 1e4, 3.0, 10.0) == 3.0
-    assert speed_for_arrival(COPTER, HOME, WAYPOINTS, 100.0, 6.0, 6.0) == 6.0
-
-
-def test_common_arrival_is_the_earliest_for_all() -> None:
-    windows = {"a": (100.0, 200.0), "b": (120.0, 150.0), "c": (90.0, 300.0)}
-    assert common_arrival(windows) == 120.0
-    assert common_arrival(windows, {"c": 60.0}) == 150.0
-    assert common_arrival(windows, requested_s=150.0) == 150.0
-
-
-def test_windows_that_do_not_meet_name_both_and_the_way_out() -> None:
-    with pytest.raises(InfeasibleError, match=r"late needs at least 160\.0 s .*early cannot take longer than 150\.0 s"):
-        common_arrival({"late": (140.0, 400.0), "early": (90.0, 150.0)}, {"late": 20.0})
-    with pytest.raises(InfeasibleError, match=r"start early 10\.0 s later"):
-        common_arrival({"late": (160.0, 400.0), "early": (90.0, 150.0)})
-
-
-@pytest.mark.parametrize(
-    ("wanted_s", "what"), [(99.0, "too early: b needs at least 120"), (151.0, "too late: b takes")]
-)
-def test_a_requested_time_outside_says_which(wanted_s: float, what: str) -> None:
-    with pytest.raises(InfeasibleError, match=what):
-        common_arrival({"a": (100.0, 200.0), "b": (120.0, 150.0)}, requested_s=wanted_s)
+    assert arrival_s(COPTER, line, 2.0) / arrival_s(COPTER, line, 10.0) < 1.6  # length over speed would say 5
+    assert arrival_s(COPTER, line, 5.0) == pytest.approx(arrival_s(COPTER, line, 10.0), abs=0.2)
 
 
 def straight(start: list[float], velocity: list[float], begin_s: float, end_s: float) -> Trajectory:
