@@ -64,14 +64,14 @@ class _Record(BaseModel):
 
 class _WaypointRecord(_Record):
     position_m: Vector
+    speed_m_s: Annotated[float, Field(gt=0)] | None = None
+    hold_s: Annotated[float, Field(ge=0)] = 0.0
 
 
 class _VehicleRecord(_Record):
     name: str
     path_m: tuple[Vector, ...] = Field(min_length=2)
     waypoints: tuple[_WaypointRecord, ...] = Field(min_length=2)
-    speeds_m_s: tuple[Annotated[float, Field(gt=0)], ...]
-    hold_s: tuple[Annotated[float, Field(ge=0)], ...]
     start_delay_s: Annotated[float, Field(ge=0)]
     return_height_m: Annotated[float, Field(gt=0)]
     parameters: dict[str, float] = {}
@@ -83,9 +83,15 @@ class _VehicleRecord(_Record):
 
     @model_validator(mode="after")
     def _a_speed_for_every_leg(self) -> _VehicleRecord:
-        if not len(self.speeds_m_s) == len(self.hold_s) == len(self.waypoints) - 1:
-            raise ValueError("expected a speed and a hold for every waypoint but the first")
+        unknown = [k for k, waypoint in enumerate(self.waypoints[1:], start=1) if waypoint.speed_m_s is None]
+        if unknown:
+            raise ValueError(f"expected speed_m_s, of the leg to it, with waypoint {unknown[0]}, got none")
         return self
+
+    @property
+    def speeds_m_s(self) -> tuple[float, ...]:
+        """Speed of the leg to each waypoint but the first."""
+        return tuple(w.speed_m_s for w in self.waypoints[1:] if w.speed_m_s is not None)
 
 
 class _ResolutionRecord(_Record):
@@ -218,7 +224,10 @@ def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
         )
     paths = [_path(vehicle) for vehicle in record.vehicles]
     scene = planner.returning_at(scene, {v.name: v.return_height_m for v in record.vehicles})
-    schedules = [Schedule(v.start_delay_s, v.speeds_m_s, v.hold_s, v.window_s) for v in record.vehicles]
+    schedules = [
+        Schedule(v.start_delay_s, v.speeds_m_s, tuple(w.hold_s for w in v.waypoints[1:]), v.window_s)
+        for v in record.vehicles
+    ]
     plan = planner.assemble(scene, paths, schedules, record.arrival_s, record.seed)
     resolutions = tuple(Resolution(**r.model_dump()) for r in record.resolutions)
     plan = replace(plan, software_version=record.software_version, resolutions=resolutions)
@@ -389,10 +398,14 @@ def _path(record: _VehicleRecord) -> PlannedPath:
 
 
 def _vehicle(vehicle: VehiclePlan, frame: LocalFrame) -> dict[str, Any]:
-    waypoints = [
+    waypoints: list[dict[str, Any]] = [
         {**_place(point, frame), "reached_s": round(float(t), 3), "position_m": point.tolist()}
         for point, t in zip(vehicle.waypoints_m, vehicle.reached_s, strict=True)
     ]
+    for waypoint, speed_m_s, hold_s in zip(
+        waypoints[1:], vehicle.speeds_m_s.tolist(), vehicle.hold_s.tolist(), strict=True
+    ):
+        waypoint |= {"speed_m_s": speed_m_s, "hold_s": hold_s}
     return {
         "name": vehicle.name,
         "sysid": vehicle.sysid,
@@ -400,8 +413,6 @@ def _vehicle(vehicle: VehiclePlan, frame: LocalFrame) -> dict[str, Any]:
         "class": vehicle.vehicle_class,
         "home": _place(vehicle.home_m, frame),
         "end": vehicle.end,
-        "speeds_m_s": vehicle.speeds_m_s.tolist(),
-        "hold_s": vehicle.hold_s.tolist(),
         "start_delay_s": vehicle.start_delay_s,
         "return_height_m": vehicle.motion.return_height_m,
         "parameters": held((vehicle.autopilot, vehicle.vehicle_class), vehicle.motion),

@@ -234,13 +234,15 @@ def test_a_raster_of_nothing_but_voids(cli: Cli, tmp_path: Path) -> None:
 # --- no plan
 
 
-def test_windows_that_do_not_meet_say_who_is_too_slow_and_what_helps(cli: Cli, tmp_path: Path) -> None:
+def test_windows_that_do_not_meet_say_who_is_too_early_and_what_helps(cli: Cli, tmp_path: Path) -> None:
     data = question(
         copter("tortoise", (0, 0), (1500, 0), speed_m_s={"min": 2, "max": 4}),
         copter("hare", (0, 60), (300, 60), speed_m_s={"min": 9, "max": 10}),
+        fleet={"lose_time_by": "detour"},
+        area={"south_west": at(-50, -50), "north_east": at(1550, 80)},  # no room for one
     )
     outcome = cli("plan", mission_file(tmp_path, data), "-o", "out", "--json")
-    expect_refusal(outcome, 3, "tortoise needs at least", "hare cannot take longer", "start hare", "s later")
+    expect_refusal(outcome, 3, "hare cannot take longer", "let it start later (fleet.lose_time_by)")
     assert not any((tmp_path / "out").iterdir())
 
 
@@ -326,7 +328,7 @@ CORRUPT_PLANS: dict[str, tuple[Callable[[dict[str, Any]], object], list[str]]] =
     "another format": (_set("format", "qgc-plan"), ["format"]),
     "no vehicles": (_set("vehicles", []), ["expected plans for alpha, bravo"]),
     "vehicles swapped": (lambda d: d["vehicles"].reverse(), ["expected plans for alpha, bravo"]),
-    "a word for a number": (_set("vehicles.0.speed_m_s", "fast"), ["vehicles.0.speed_m_s"]),
+    "a word for a number": (_set("vehicles.0.waypoints.1.speed_m_s", "fast"), ["waypoints.1.speed_m_s"]),
     "not a number": (_set("vehicles.0.waypoints.0.position_m.2", float("nan")), ["vehicles.0.waypoints.0.position_m"]),
     "infinity": (_set("vehicles.0.path_m.3.1", float("inf")), ["vehicles.0.path_m.3.1"]),
     "one waypoint": (lambda d: d["vehicles"][0]["waypoints"].pop(), ["vehicles.0.waypoints"]),
@@ -336,8 +338,8 @@ CORRUPT_PLANS: dict[str, tuple[Callable[[dict[str, Any]], object], list[str]]] =
     "mission broken": (_set("mission.vehicles.0.goal.height_agl_m", "high"), ["goal.height_agl_m"]),
     "a start nowhere": (_set("vehicles.0.waypoints.0.position_m", [40, 0, 140]), ["alpha", "the top of the take-off"]),
     "a goal elsewhere": (_set("vehicles.0.waypoints.1.position_m", [290, 0, 140]), ["alpha", "goal"]),
-    "a speed it may not fly": (_set("vehicles.1.speed_m_s", 25.0), ["bravo", "25", "10"]),
-    "a crawl of months": (_set("vehicles.1.speed_m_s", 1e-6), ["bravo", "1e-06", "3"]),
+    "a speed it may not fly": (_set("vehicles.1.waypoints.1.speed_m_s", 25.0), ["bravo", "25", "10"]),
+    "a crawl of months": (_set("vehicles.1.waypoints.1.speed_m_s", 1e-6), ["bravo", "1e-06", "3"]),
     "a waypoint beyond the moon": (_set("vehicles.0.waypoints.0.position_m", [0, 0, 4e8]), ["position_m"]),
 }
 
@@ -355,7 +357,7 @@ def test_a_corrupt_plan(cli: Cli, planned: Path, tmp_path: Path, corrupt: str) -
 def test_a_waypoint_edited_into_a_hill(cli: Cli, planned_over_hill: Path, tmp_path: Path, command: str) -> None:
     def through_the_hill(document: dict[str, Any]) -> None:
         first, last = document["vehicles"][0]["waypoints"]
-        into = dict(first, position_m=[-200.0, 25.0, 740.0])
+        into = dict(last, position_m=[-200.0, 25.0, 740.0])
         document["vehicles"][0]["waypoints"] = [first, into, last]
 
     assert hill(-200.0, 25.0) > 725

@@ -139,7 +139,7 @@ def test_the_document_is_strict_json_with_its_version_first(folder: Path) -> Non
 
     document = json.loads((folder / PLAN_NAME).read_text(), parse_constant=refuse)
     assert list(document)[:2] == ["format", "version"]
-    assert (document["format"], document["version"]) == ("missionplanner-plan", 2)
+    assert (document["format"], document["version"]) == ("missionplanner-plan", 3)
     for vehicle in document["vehicles"]:
         assert vehicle["waypoints"][-1]["reached_s"] == pytest.approx(vehicle["arrival_s"], abs=1e-3)
         assert all(c["ok"] for c in vehicle["clearances"])
@@ -188,14 +188,19 @@ def test_another_beginning_or_end_is_noticed(folder: Path, end: int, named: str)
 
 
 def test_a_way_on_beyond_the_goal_is_noticed(folder: Path) -> None:
-    edit(folder, lambda d: waypoints(d).append({"position_m": [320.0, 0.0, 140.0]}))
+    edit(folder, lambda d: waypoints(d).append({"position_m": [320.0, 0.0, 140.0], "speed_m_s": 5.0}))
     assert "got none at the goal" in problem_of(folder)
 
 
 @pytest.mark.parametrize("speed_m_s", [2.9, 10.1, 1e-9, 1e9])
 def test_a_speed_out_of_range_is_noticed(folder: Path, speed_m_s: float) -> None:
-    edit(folder, lambda d: d["vehicles"][1].update(speed_m_s=speed_m_s))
+    edit(folder, lambda d: d["vehicles"][1]["waypoints"][-1].update(speed_m_s=speed_m_s))
     assert f"bravo: expected a speed of 3 to 10 m/s, got {speed_m_s:g}" in problem_of(folder)
+
+
+def test_a_leg_without_a_speed_is_refused(folder: Path) -> None:
+    edit(folder, lambda d: waypoints(d)[-1].pop("speed_m_s"))
+    assert "expected speed_m_s, of the leg to it, with waypoint" in problem_of(folder)
 
 
 def test_a_start_before_its_turn_is_noticed(folder: Path) -> None:
@@ -214,19 +219,20 @@ def test_vehicles_in_another_order_are_noticed(folder: Path) -> None:
 
 
 def test_a_waypoint_that_no_flight_reaches_is_refused_at_once(folder: Path) -> None:
-    edit(folder, lambda d: waypoints(d).insert(1, {"position_m": [1e12, 0.0, 140.0]}))
+    edit(folder, lambda d: waypoints(d).insert(1, {"position_m": [1e12, 0.0, 140.0], "speed_m_s": 5.0}))
     assert "vehicles.0.waypoints.1.position_m.0" in problem_of(folder)
 
 
 @pytest.mark.parametrize("text", ["", "null", "[]", "{}", "[" * 100_000, '{"format": "missionplanner-plan"}'])
 def test_what_is_no_plan_is_said_to_be_none(folder: Path, text: str) -> None:
     (folder / PLAN_NAME).write_text(text)
-    assert "expected what this program wrote (version 2), got a damaged file" in problem_of(folder)
+    assert "expected what this program wrote (version 3), got a damaged file" in problem_of(folder)
 
 
-def test_a_plan_of_version_1_is_refused(folder: Path) -> None:
-    edit(folder, lambda d: d.update(version=1))
-    assert "expected what this program wrote (version 2)" in problem_of(folder)
+@pytest.mark.parametrize("version", [1, 2])
+def test_a_plan_of_another_version_is_refused(folder: Path, version: int) -> None:
+    edit(folder, lambda d: d.update(version=version))
+    assert "expected what this program wrote (version 3)" in problem_of(folder)
 
 
 @pytest.mark.parametrize("height_m", [0.0, -5.0, None, "high"])
@@ -247,7 +253,7 @@ def test_another_return_height_is_proven_anew(small: tuple[Scene, FleetPlan], fo
 
 
 def test_a_waypoint_moved_into_the_mast_is_not_proven(folder: Path) -> None:
-    edit(folder, lambda d: waypoints(d).insert(at_stop(d, 1), {"position_m": [150.0, 5.0, 140.0]}))
+    edit(folder, lambda d: waypoints(d).insert(at_stop(d, 1), {"position_m": [150.0, 5.0, 140.0], "speed_m_s": 5.0}))
     certificate = load_plan(folder)[1].certificate
     assert certificate is not None
     assert "obstacle" in {finding.check for finding in certificate.problems}
