@@ -65,10 +65,9 @@ class Comparison:
         if self.differences:
             first = self.differences[0]
             wanted, held = shown(first.planned), shown(first.held)
-            told = (
-                f"holds {first.name} {held}, its plan was made with {wanted}: set it to {wanted} on the vehicle, or "
-                f"put {first.name}: {held} into its parameters in the mission file and plan again"
-            )
+            told = f"holds {first.name} {held}, planned with {wanted}: set it to {wanted} on the vehicle"
+            if first.plannable:
+                told += f", or put {first.name}: {held} into its parameters in the mission file and plan again"
             others = [*map(str, self.differences[1:]), *self.unheld]
         elif self.unheld:
             told, *others = self.unheld

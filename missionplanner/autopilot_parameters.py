@@ -40,7 +40,7 @@ class Parameter:
 
     ``field`` leads into parts of the model by dots, and into tuples by numbers: ``px4.velocity_gains.0``. The first
     spelling is the one of the firmware that we simulate. ``sent`` means that a plan sets it on the vehicle: it is never
-    compared.
+    compared. ``limits_speed`` says which commanded speeds, above or below its value, the autopilot does not fly.
     """
 
     field: str
@@ -50,6 +50,7 @@ class Parameter:
     high: float
     spellings: tuple[Spelling, ...]
     sent: bool = False
+    limits_speed: Literal["above", "below"] | None = None
 
     @property
     def name(self) -> str:
@@ -77,6 +78,7 @@ class Difference:
     name: str
     planned: float
     held: float
+    plannable: bool  # whether the motion model could take up what is held
 
     def __str__(self) -> str:
         return f"{self.name} is {shown(self.held)}, planned with {shown(self.planned)}"
@@ -189,7 +191,8 @@ def differences(kind: Kind, model: object, values: Mapping[str, float]) -> tuple
         for spelling in parameter.spellings:
             value = values.get(spelling.name)
             if value is not None and not parameter.sent and not same(value / spelling.per_unit, planned):
-                found.append(Difference(spelling.name, planned * spelling.per_unit, value))
+                plannable = parameter.low <= value / spelling.per_unit <= parameter.high
+                found.append(Difference(spelling.name, planned * spelling.per_unit, value, plannable))
     return tuple(found)
 
 
@@ -221,7 +224,7 @@ def _meant(parameter: Parameter, spelling: Spelling, value: float) -> float:
     return meant
 
 
-def _cm(name: str, new: str, *, whole: bool = False) -> tuple[Spelling, ...]:
+def _cm(name: str, new: str, *, whole: bool = True) -> tuple[Spelling, ...]:
     """Return the spellings of an ArduCopter parameter that counts in centimetres, and since 4.7 in metres."""
     return Spelling(name, 100.0, whole), Spelling(new)
 
@@ -231,12 +234,16 @@ def _as(*names: str, whole: bool = False) -> tuple[Spelling, ...]:
 
 
 _ARDUCOPTER = (
-    Parameter("acceleration_m_s2", "m/s^2", 2.5, 0.5, 10.0, _cm("WPNAV_ACCEL", "WP_ACC")),
-    Parameter("jerk_m_s3", "m/s^3", 1.0, 0.5, 20.0, _as("WPNAV_JERK", "WP_JERK")),
-    Parameter("climb_rate_m_s", "m/s", 2.5, 0.1, 10.0, _cm("WPNAV_SPEED_UP", "WP_SPD_UP")),
-    Parameter("descent_rate_m_s", "m/s", 1.5, 0.1, 5.0, _cm("WPNAV_SPEED_DN", "WP_SPD_DN")),
-    Parameter("waypoint_radius_m", "m", 2.0, 0.05, 10.0, _cm("WPNAV_RADIUS", "WP_RADIUS_M")),
-    Parameter("return_height_m", "m", 15.0, 0.3, 3000.0, _cm("RTL_ALT", "RTL_ALT_M", whole=True), sent=True),
+    Parameter("acceleration_m_s2", "m/s^2", 2.5, 0.5, 10.0, _cm("WPNAV_ACCEL", "WP_ACC", whole=False)),
+    Parameter("jerk_m_s3", "m/s^3", 1.0, 1.0, 20.0, _as("WPNAV_JERK", "WP_JERK")),
+    Parameter("climb_rate_m_s", "m/s", 2.5, 0.1, 10.0, _cm("WPNAV_SPEED_UP", "WP_SPD_UP", whole=False)),
+    Parameter("descent_rate_m_s", "m/s", 1.5, 0.1, 5.0, _cm("WPNAV_SPEED_DN", "WP_SPD_DN", whole=False)),
+    Parameter("waypoint_radius_m", "m", 2.0, 0.05, 10.0, _cm("WPNAV_RADIUS", "WP_RADIUS_M", whole=False)),
+    Parameter("arducopter.cruise_speed_m_s", "m/s", 10.0, 0.2, 20.0, _cm("WPNAV_SPEED", "WP_SPD", whole=False)),
+    Parameter("arducopter.return_speed_m_s", "m/s", 0.0, 0.0, 20.0, _cm("RTL_SPEED", "RTL_SPEED_MS")),
+    Parameter("arducopter.return_wait_s", "s", 5.0, 0.0, 60.0, (Spelling("RTL_LOIT_TIME", 1000.0, whole=True),)),
+    Parameter("arducopter.return_final_height_m", "m", 0.0, 0.0, 0.0, _cm("RTL_ALT_FINAL", "RTL_ALT_FINAL_M")),
+    Parameter("return_height_m", "m", 15.0, 0.3, 3000.0, _cm("RTL_ALT", "RTL_ALT_M"), sent=True),
 )
 _PX4_COPTER = (
     Parameter("acceleration_m_s2", "m/s^2", 3.0, 0.5, 15.0, _as("MPC_ACC_HOR")),
@@ -249,6 +256,24 @@ _PX4_COPTER = (
 _ARDUPLANE = (
     Parameter(
         "cruise_speed_m_s", "m/s", 22.0, 3.0, 100.0, (Spelling("AIRSPEED_CRUISE"), Spelling("TRIM_ARSPD_CM", 100.0))
+    ),
+    Parameter(
+        "airspeed_limits_m_s.0",
+        "m/s",
+        9.0,
+        3.0,
+        100.0,
+        _as("AIRSPEED_MIN", "ARSPD_FBW_MIN"),
+        limits_speed="below",
+    ),
+    Parameter(
+        "airspeed_limits_m_s.1",
+        "m/s",
+        30.0,
+        3.0,
+        100.0,
+        _as("AIRSPEED_MAX", "ARSPD_FBW_MAX"),
+        limits_speed="above",
     ),
     Parameter("climb_rate_m_s", "m/s", 5.0, 0.1, 20.0, _as("TECS_CLMB_MAX")),
     Parameter("descent_rate_m_s", "m/s", 5.0, 0.1, 20.0, _as("TECS_SINK_MAX")),
@@ -266,6 +291,8 @@ _ARDUPLANE = (
 )
 _PX4_PLANE = (
     Parameter("cruise_speed_m_s", "m/s", 15.0, 0.5, 100.0, _as("FW_AIRSPD_TRIM")),
+    Parameter("airspeed_limits_m_s.0", "m/s", 10.0, 0.5, 100.0, _as("FW_AIRSPD_MIN"), limits_speed="below"),
+    Parameter("airspeed_limits_m_s.1", "m/s", 20.0, 0.5, 100.0, _as("FW_AIRSPD_MAX"), limits_speed="above"),
     Parameter("climb_rate_m_s", "m/s", 5.0, 1.0, 15.0, _as("FW_T_CLMB_MAX")),
     Parameter("descent_rate_m_s", "m/s", 5.0, 1.0, 15.0, _as("FW_T_SINK_MAX")),
     Parameter("waypoint_radius_m", "m", 50.0, 0.05, 200.0, _as("NAV_ACC_RAD")),

@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, Strict, ValidationError, field_validator, model_validator
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from missionplanner.autopilot_parameters import ParameterError, fields, find, same, shown
+from missionplanner.autopilot_parameters import ParameterError, defaults, fields, find, parameters, same, shown
 from missionplanner.document import Document, Location, parse_document
 from missionplanner.errors import MissionError
 from missionplanner.parameter_files import read_parameters
@@ -369,6 +369,20 @@ class VehicleSettings(Model):
                 )
         return asked
 
+    def ignored_speed(self) -> str | None:
+        """Return why the autopilot would not fly some of ``speed_m_s``, by its parameters; None: it would fly all."""
+        if self.speed_m_s is None:
+            return None
+        kind = (self.autopilot, self.vehicle_class)
+        values = defaults(kind) | self.asked_motion()
+        for parameter in parameters(kind):
+            limit_m_s = values[parameter.field]
+            if parameter.limits_speed == "above" and self.speed_m_s.max > limit_m_s:
+                return f"expected max of at most {limit_m_s:g} ({parameter.name}), got {self.speed_m_s.max:g}"
+            if parameter.limits_speed == "below" and self.speed_m_s.min < limit_m_s:
+                return f"expected min of at least {limit_m_s:g} ({parameter.name}), got {self.speed_m_s.min:g}"
+        return None
+
 
 class Vehicle(VehicleSettings):
     """One vehicle: from home straight up, through ``start``, ``stops`` and towers, to ``goal``."""
@@ -584,6 +598,9 @@ class Mission(Model):
                 vehicle.asked_motion()
             except ParameterError as error:
                 raise _error_at(("vehicles", i, "parameters", error.name), str(error)) from error
+            ignored = None if vehicle.parameter_file else vehicle.ignored_speed()
+            if ignored is not None:
+                raise _error_at(("vehicles", i, "speed_m_s"), f"{ignored}: set the vehicle's, and say so in parameters")
         return self
 
     @model_validator(mode="after")
@@ -715,6 +732,9 @@ def _with_parameter_file(vehicle: Vehicle, folder: Path) -> Vehicle:
     except ParameterError as error:
         line = f":{read[error.name].line}" if error.name in read else ""
         raise MissionError(f"{path}{line}: {vehicle.name}: {error}") from error
+    ignored = resolved.ignored_speed()
+    if ignored is not None:
+        raise MissionError(f"{vehicle.name}.speed_m_s: {ignored}: see {path}")
     return resolved
 
 

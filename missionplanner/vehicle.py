@@ -19,9 +19,25 @@ LIFT_OFF_SHARE = 0.8
 """A plane rolls at full throttle up to this share of its cruise speed, then climbs (ArduPlane 4.5 in SITL)."""
 _PULL_UP_S = 0.5  # what is lost until it climbs at its greatest rate
 
+
 def true_airspeed(alt_amsl_m: float) -> float:
     """Return true over indicated airspeed (the one that is commanded) in the standard atmosphere; 1 at sea level."""
     return float(max(1.0 - 2.25577e-5 * alt_amsl_m, 0.1) ** -2.128)
+
+
+@dataclass(frozen=True, slots=True)
+class ArducopterTuning:
+    """Parameters of ArduCopter that no mission sets; defaults of 4.5."""
+
+    cruise_speed_m_s: float = 10.0  # WPNAV_SPEED: until a mission sets a speed
+    return_speed_m_s: float = 0.0  # RTL_SPEED; 0: its cruise speed, whatever the mission has set
+    return_wait_s: float = 5.0  # RTL_LOIT_TIME, above home
+    return_final_height_m: float = 0.0  # RTL_ALT_FINAL; above 0 it would stay there, which nothing here plans for
+
+    @property
+    def homing_m_s(self) -> float:
+        """Its speed on the way home."""
+        return self.return_speed_m_s or self.cruise_speed_m_s
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +54,11 @@ class MotionModel:
     turn_radius_m: float
     return_height_m: float = 15.0  # above home, RTL; a copter that is higher stays so high
     wind_m_s: tuple[float, float] = (0.0, 0.0)  # steady velocity of the air: east, north
+    arducopter: ArducopterTuning = ArducopterTuning()  # ArduCopter only
     # planes only
     cruise_speed_m_s: float = 22.0  # while no mission says otherwise: on take-off and on the way home
     loiter_radius_m: float = 60.0
+    airspeed_limits_m_s: tuple[float, float] = (0.0, math.inf)  # what may be commanded; ArduPlane ignores the rest
 
     def return_alt_amsl_m(self, alt_amsl_m: float, home_amsl_m: float) -> float:
         """Return how high RTL brings a vehicle above its home: a copter no lower than it is, a plane just so high."""
@@ -144,8 +162,8 @@ def ending(settings: VehicleSettings) -> Ending:
 
 def vehicle_limits(settings: VehicleSettings, vertical_error_m: float) -> VehicleLimits:
     """Return the limits of a path; ``vertical_error_m`` is the terrain model's and widens the terrain margin."""
-    speed = settings.speed_m_s
-    low, high = (speed.min, speed.max) if speed else _SPEED_DEFAULTS[settings.autopilot, settings.vehicle_class]
+    model = motion_model(settings)
+    low, high = _speeds_m_s(settings, model)
     angle_deg = _PATH_ANGLE_DEG[settings.vehicle_class]
     return VehicleLimits(
         speed_min_m_s=low,
@@ -158,13 +176,26 @@ def vehicle_limits(settings: VehicleSettings, vertical_error_m: float) -> Vehicl
         obstacle_margin_m=settings.safety.obstacle_m,
         tracking_error_m=settings.tracking_error_m,
         position_error_m=settings.position_error_m,
-        deviation_m=deviation_m(motion_model(settings)),
+        deviation_m=deviation_m(model),
         landing_slope_rad=math.radians(settings.safety.landing_slope_max_deg),
         height_agl_max_m=_or(settings.height_agl_max_m, math.inf),
         alt_amsl_max_m=_or(settings.alt_amsl_max_m, math.inf),
         endurance_s=_or(settings.endurance_s, math.inf),
         airspeed_max_m_s=_or(settings.airspeed_max_m_s, math.inf),
     )
+
+
+def _speeds_m_s(settings: VehicleSettings, model: MotionModel) -> tuple[float, float]:
+    """Return the least and the greatest speed along the path: the mission file's, else what its autopilot allows."""
+    if settings.speed_m_s is not None:
+        return settings.speed_m_s.min, settings.speed_m_s.max
+    low, high = _SPEED_DEFAULTS[settings.autopilot, settings.vehicle_class]
+    if settings.vehicle_class == "plane":
+        slowest, fastest = model.airspeed_limits_m_s
+        low, high = max(low, slowest), min(high, fastest)
+    elif settings.autopilot == "ardupilot":
+        high = model.arducopter.cruise_speed_m_s
+    return min(low, high), high
 
 
 def _or(value: float | None, default: float) -> float:

@@ -467,8 +467,6 @@ _ARDUCOPTER = Personality(
             "RTL_ALT_TYPE": 0,
             "RTL_CLIMB_MIN": 0,
             "RTL_CONE_SLOPE": 3.0,
-            "RTL_LOIT_TIME": 5000,
-            "WPNAV_SPEED": 1000.0,
         }
     ),
     return_height_m=_copter_return_height_m,
@@ -484,9 +482,7 @@ _ARDUPLANE = replace(
     cold_start_s=23.0,
     speed_parameter=("AIRSPEED_CRUISE", 1.0),
     speed_limit_parameters=("AIRSPEED_MIN", "AIRSPEED_MAX"),
-    parameters=MappingProxyType(
-        {"AIRSPEED_MAX": 30.0, "AIRSPEED_MIN": 9.0, "ARMING_CHECK": 1, "MIS_RESTART": 0, "RTL_ALTITUDE": 100.0}
-    ),
+    parameters=MappingProxyType({"ARMING_CHECK": 1, "MIS_RESTART": 0, "RTL_ALTITUDE": 100.0}),
     return_height_m=_plane_return_height_m,
 )
 _PX4_COPTER = Personality(
@@ -544,8 +540,6 @@ _PX4_PLANE = replace(
     parameters=MappingProxyType(
         {
             **{name: value for name, value in _PX4_COPTER.parameters.items() if not name.startswith("MPC_")},
-            "FW_AIRSPD_MAX": 20.0,
-            "FW_AIRSPD_MIN": 10.0,
             "RTL_DESCEND_ALT": 100.0,
             "RTL_RETURN_ALT": 100.0,
         }

@@ -15,8 +15,7 @@ _ARDUCOPTER_SPOOL_S = 0.2  # from the command to the first movement, what a smoo
 _PX4_SPOOL_S = 3.7
 _PX4_DISARM_S = 2.5  # from touch-down to motors off
 _SLOW_BELOW_M = 10.0  # LAND_ALT_LOW, MPC_LAND_ALT1: the descent slows down this high above the ground
-_RTL_SPEED_M_S = 10.0  # RTL_SPEED = 0: WPNAV_SPEED, whatever speed the mission has set
-_RTL_WAIT_S = {"ardupilot": 5.0, "px4": 0.0}  # RTL_LOIT_TIME, RTL_LAND_DELAY
+_PX4_RTL_SPEED_M_S = 10.0
 
 
 class Route(NamedTuple):
@@ -101,8 +100,9 @@ def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLi
     above = np.array([home[0], home[1], height])
     if model.vehicle_class == "plane":
         return Route.through([above], model.cruise_speed_m_s)
-    way = Route.through(
-        np.array([[start[0], start[1], height], above]), _RTL_SPEED_M_S, [0.0, _RTL_WAIT_S[model.autopilot]]
-    )
+    ardupilot = model.autopilot == "ardupilot"
+    speed_m_s = model.arducopter.homing_m_s if ardupilot else _PX4_RTL_SPEED_M_S
+    wait_s = model.arducopter.return_wait_s if ardupilot else 0.0  # RTL_LAND_DELAY
+    way = Route.through(np.array([[start[0], start[1], height], above]), speed_m_s, [0.0, wait_s])
     down = landing_points(model, above, float(home[2]))
     return Route(*(np.concatenate(pair) for pair in zip(way, down, strict=True)))
