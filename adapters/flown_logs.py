@@ -57,14 +57,14 @@ _MODES: dict[tuple[Autopilot, VehicleClass], int] = {  # HEARTBEAT.custom_mode o
 }
 _WANTED = frozenset(
     {
-        "HEARTBEAT",
-        "GLOBAL_POSITION_INT",
-        "MISSION_CURRENT",
-        "MISSION_ITEM_REACHED",
-        "EXTENDED_SYS_STATE",
-        "STATUSTEXT",
-        "COMMAND_LONG",
-        "COMMAND_ACK",
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
+        mavlink.MAVLINK_MSG_ID_MISSION_CURRENT,
+        mavlink.MAVLINK_MSG_ID_MISSION_ITEM_REACHED,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        mavlink.MAVLINK_MSG_ID_STATUSTEXT,
+        mavlink.MAVLINK_MSG_ID_COMMAND_LONG,
+        mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
     }
 )
 _MOVED_M = 2.0
@@ -173,11 +173,11 @@ def _read(paths: Sequence[Path], found: _Found) -> Records:
     known: set[tuple[float, bytes]] = set()
     for path in paths:
         try:
-            log = read_log(path)
+            log = read_log(path, _WANTED)
         except MissionError as error:
             found.problems.append(str(error))
             continue
-        if not log.records:
+        if not log.sound_frames:
             found.problems.append(f"{path}: expected a telemetry log, got an empty file")
             continue
         kept = _timely(log)
@@ -185,8 +185,6 @@ def _read(paths: Sequence[Path], found: _Found) -> Records:
         if lost:
             found.notes.append(f"{path}: {lost}")
         for at_s, message in kept:
-            if message.get_type() not in _WANTED:
-                continue
             key = at_s, bytes(message.get_msgbuf())
             if key not in known:  # a vehicle's own log repeats the fleet's
                 known.add(key)

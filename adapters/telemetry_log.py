@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -26,6 +26,7 @@ _TEXT_MAX = 50  # bytes of a STATUSTEXT
 _STX2, _STX1 = 0xFD, 0xFE
 _MARKER = re.compile(b"[\xfd\xfe]")
 _SIGNED = 0x01
+_SIGNATURE = 13  # bytes
 _YEAR_2000_US, _YEAR_2200_US = 946_684_800 * 10**6, 7_258_118_400 * 10**6
 
 
@@ -95,14 +96,17 @@ class TelemetryLog:
     """What a log holds: messages with their times since 1970, and what of it could not be read."""
 
     records: tuple[tuple[float, Any], ...]
+    sound_frames: int  # also those that were not asked for
     lost_bytes: int  # all that is in no whole, sound frame of a known kind
     damaged_frames: int = 0  # whole, but of a wrong checksum
     cut_bytes: int = 0  # of an unfinished record at the end
     unknown_frames: int = 0  # of kinds that are not known here, whose checksums cannot be told
 
 
-def read_log(path: Path) -> TelemetryLog:
+def read_log(path: Path, kinds: Collection[int] | None = None) -> TelemetryLog:
     """Read all whole frames of a log; what is damaged or cut short is skipped and counted.
+
+    With ``kinds``, messages of other ids are checked but left out: decoding them takes most of the time.
 
     Raises
     ------
@@ -113,27 +117,30 @@ def read_log(path: Path) -> TelemetryLog:
         data = path.read_bytes()
     except OSError as error:
         raise MissionError(f"{path}: expected a telemetry log, got: {error.strerror or error}") from error
-    log = parse_log(data)
-    if data and not log.records:
+    log = parse_log(data, kinds)
+    if data and not log.sound_frames:
         raise MissionError(f"{path}: expected a telemetry log, got {len(data)} bytes without any MAVLink frame")
     return log
 
 
-def parse_log(data: bytes) -> TelemetryLog:
-    """Read all whole frames of a log's bytes."""
+def parse_log(data: bytes, kinds: Collection[int] | None = None) -> TelemetryLog:
+    """Read all whole frames of a log's bytes; see :func:`read_log`."""
     parser = mavlink.MAVLink(None)
     records: list[tuple[float, Any]] = []
-    lost = damaged = unknown = position = end = 0
+    sound = lost = damaged = unknown = position = end = 0
     while position < len(data):
         length = _record_length(data, position)
-        message = _decode(parser, data[position + _STAMP.size : position + length]) if length else None
-        if message is not None and not _unknown(message):
-            (stamp_us,) = _STAMP.unpack_from(data, position)
-            records.append((stamp_us / 1e6, message))
+        frame = data[position + _STAMP.size : position + length]
+        kind = _kind(frame) if length else None
+        if kind is not None and _is_sound(frame, kind):
+            sound += 1
+            if kinds is None or kind in kinds:
+                (stamp_us,) = _STAMP.unpack_from(data, position)
+                records.append((stamp_us / 1e6, parser.decode(bytearray(frame))))
             end = position = position + length
         elif length and _begins(data, position + length):  # what follows shows that it is a record indeed
-            damaged += message is None
-            unknown += message is not None
+            damaged += kind in mavlink.mavlink_map
+            unknown += kind not in mavlink.mavlink_map
             lost += length
             end = position = position + length
         else:
@@ -141,7 +148,7 @@ def parse_log(data: bytes) -> TelemetryLog:
             lost += after - position
             position = after
     cut = len(data) - end if _begins(data, end) else 0
-    return TelemetryLog(tuple(records), lost, damaged, cut, unknown)
+    return TelemetryLog(tuple(records), sound, lost, damaged, cut, unknown)
 
 
 def _begins(data: bytes, position: int) -> bool:
@@ -170,7 +177,7 @@ def _record_length(data: bytes, position: int) -> int:
         return 0
     payload = data[start + 1]
     if data[start] == _STX2:
-        length = 12 + payload + (13 if data[start + 2] & _SIGNED else 0)
+        length = 12 + payload + (_SIGNATURE if data[start + 2] & _SIGNED else 0)
     elif data[start] == _STX1:
         length = 8 + payload
     else:
@@ -178,12 +185,18 @@ def _record_length(data: bytes, position: int) -> int:
     return _STAMP.size + length if start + length <= len(data) else 0
 
 
-def _decode(parser: Any, frame: bytes) -> Any | None:
-    try:
-        return parser.decode(bytearray(frame))
-    except mavlink.MAVError:
-        return None
+def _kind(frame: bytes) -> int:
+    """Return the id of a frame's message."""
+    return frame[5] if frame[0] == _STX1 else int.from_bytes(frame[7:10], "little")
 
 
-def _unknown(message: Any) -> bool:
-    return bool(message.get_type().startswith("UNKNOWN"))
+def _is_sound(frame: bytes, kind: int) -> bool:
+    """Return whether a frame is of a known kind and its checksum is right (https://mavlink.io/en/guide/serialization.html)."""
+    known = mavlink.mavlink_map.get(kind)
+    if known is None:
+        return False
+    signed = frame[0] == _STX2 and frame[2] & _SIGNED
+    end = len(frame) - 2 - (_SIGNATURE if signed else 0)
+    return bool(
+        mavlink.x25crc(frame[1:end] + bytes([known.crc_extra])).crc == int.from_bytes(frame[end : end + 2], "little")
+    )

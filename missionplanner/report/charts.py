@@ -211,8 +211,8 @@ def separation(facts: Facts) -> Figure:
         axes.set_title(panel.title, loc="left", fontsize=9, fontweight="bold", color=style.INK, pad=5)
         axes.set_xlabel("time since mission start (s)")
         axes.set_xlim(0.0, max(float(p.lines.t_s[-1]) for p in panels))
-        _distance_scale(axes, panels)
-        _draw_distances(axes, panel)
+        distance_scale(axes, panels)
+        draw_distances(axes, panel)
         if i == 0:
             axes.set_ylabel("distance (m)")
     if panels[0].lines.pairs is None:
@@ -364,20 +364,22 @@ def _mark_least(axes: Axes, scene: Scene, clearance: Clearance, run_m: float, ma
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Panel:
+class Panel:
+    """Distances between vehicles over time, as one chart shows them."""
+
     title: str
     lines: Distances
     least: Clearance | None
     required_m: float
 
 
-def _panel(facts: Facts, title: str, trajectories: Sequence[Trajectory], least: Clearance | None) -> _Panel:
+def _panel(facts: Facts, title: str, trajectories: Sequence[Trajectory], least: Clearance | None) -> Panel:
     instants_s = [least.t_s] if least is not None and least.t_s is not None else []
     required_m = least.required_m if least is not None else facts.scene.mission.fleet.separation_m
-    return _Panel(title, distances(trajectories, instants_s), least, required_m)
+    return Panel(title, distances(trajectories, instants_s), least, required_m)
 
 
-def _distance_scale(axes: Axes, panels: Sequence[_Panel]) -> None:
+def distance_scale(axes: Axes, panels: Sequence[Panel]) -> None:
     """Give all panels one scale: logarithmic where the required separation would otherwise vanish at the bottom."""
     floor = max(0.1, min(min(float(p.lines.distance_m.min()), p.required_m or math.inf) for p in panels))
     highest = max(float(p.lines.distance_m.max()) for p in panels)
@@ -390,7 +392,8 @@ def _distance_scale(axes: Axes, panels: Sequence[_Panel]) -> None:
     style.quiet(axes)
 
 
-def _draw_distances(axes: Axes, panel: _Panel) -> None:
+def draw_distances(axes: Axes, panel: Panel) -> None:
+    """Draw a line for each pair, the required distance and the least one."""
     lines, least, required_m = panel.lines, panel.least, panel.required_m
     for i, distance in enumerate(lines.distance_m):
         first, second = lines.pairs[i] if lines.pairs else (i, i)

@@ -9,9 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from missionplanner.geodesy import FloatArray
-from missionplanner.plan import Clearance
 from missionplanner.replay import FleetReplay, VehicleReplay
-from missionplanner.report import style
+from missionplanner.report import charts, style
 from missionplanner.report.facts import distances
 
 _NAMED = 10
@@ -113,6 +112,7 @@ def arrivals(fleet: FleetReplay) -> Figure:
     axes.set_yticks(range(0, count, step), [v.plan.name for v in fleet.vehicles][::step])
     axes.tick_params(axis="y", length=0, labelcolor=style.INK)
     axes.set_xlabel("time since mission start (s)")
+    axes.ticklabel_format(axis="x", useOffset=False)
     axes.grid(True, axis="x")
     axes.set_axisbelow(True)
     axes.spines["left"].set_visible(False)
@@ -127,35 +127,14 @@ def apart(fleet: FleetReplay) -> Figure:
     lines = distances([v.flown.trajectory for v in fleet.vehicles], instants)
     figure = style.new_figure(2.9)
     axes = figure.add_axes((0.07, 0.155, 0.915, 0.72))
-    for i, distance in enumerate(lines.distance_m):
-        first, second = lines.pairs[i] if lines.pairs else (i, i)
-        axes.plot(lines.t_s, distance, color=style.vehicle_colour(first), linewidth=1.2, zorder=3)
-        if second != first:
-            axes.plot(lines.t_s, distance, color=style.vehicle_colour(second), linewidth=1.2, dashes=(4, 4), zorder=3.1)
-    axes.set_ylim(0.0, float(lines.distance_m.max()) * 1.08)
-    if least is not None:
-        _least(axes, least)
+    panel = charts.Panel("", lines, least, 0.0 if least is None else least.required_m)
     axes.set_xlim(0.0, float(lines.t_s[-1]))
     axes.set_xlabel("time since mission start (s)")
     axes.set_ylabel("distance (m)")
-    style.quiet(axes)
+    charts.distance_scale(axes, [panel])
+    charts.draw_distances(axes, panel)
     _names(figure, fleet, 0.945)
     return figure
-
-
-def _least(axes: Axes, least: Clearance) -> None:
-    if least.required_m > 0:
-        axes.axhspan(0.0, least.required_m, color=style.BAD, alpha=0.09, linewidth=0, zorder=0)
-        axes.axhline(least.required_m, color=style.BAD, linewidth=0.9, zorder=2)
-    if least.t_s is None:
-        return
-    colour = style.INK if least.ok else style.BAD
-    axes.plot(least.t_s, least.distance_m, "o", color=colour, markersize=5, markeredgecolor="white", zorder=6)
-    axes.annotate(
-        f"least {least.distance_m:.1f} m, {least.required_m:g} m required", xy=(least.t_s, least.distance_m),
-        xytext=(7, 12), textcoords="offset points", fontsize=7.5, fontweight="bold", color=colour, va="center",
-        path_effects=style.halo(2.2), zorder=7,
-    )  # fmt: skip
 
 
 def _waypoint_dots(axes: Axes, v: VehicleReplay, colour: str) -> None:
