@@ -249,10 +249,17 @@ class FleetLink:
         self._station.together(goings, after_failure="nothing was armed")
         return tuple(changes)
 
-    def start(self, progress: ReadyProgress | None = None, *, ready_timeout_s: float = _READY_S) -> None:
+    def start(
+        self,
+        progress: ReadyProgress | None = None,
+        *,
+        ready_timeout_s: float = _READY_S,
+        at_s: float | None = None,
+    ) -> None:
         """Wait until all can be armed, arm all, then start all in one burst: all or none.
 
         Vehicles with a start delay are armed and started that much later; this returns when all are in their missions.
+        With ``at_s``, on the link's clock, nothing is armed before it is nearly time, and the start is just then.
 
         Raises
         ------
@@ -263,9 +270,16 @@ class FleetLink:
             {sysid: self._preparing(vehicle, ready_timeout_s, progress) for sysid, vehicle in self._vehicles.items()},
             after_failure="nothing was armed",
         )
+        if at_s is not None and self._clock.now_s() > at_s:
+            raise LinkError(
+                f"all are ready {self._clock.now_s() - at_s:.0f} s after the start for fleet.arrival_utc: nothing was "
+                "armed; ask for a later arrival"
+            )
         first = {k: v for k, v in self._vehicles.items() if v.plan.start_delay_s <= 0.0}
         try:
+            self._wait_until(None if at_s is None else at_s - _ARM_EARLY_S)
             self._station.together({sysid: self._arming(vehicle) for sysid, vehicle in first.items()})
+            self._wait_until(at_s)
         except LinkError as error:
             raise LinkError(f"{error}; {self._stand_down()}") from error
         self._start_s = self._clock.now_s()
@@ -330,6 +344,11 @@ class FleetLink:
             return FleetFlight(tuple(flown))
         watched = (replace(vehicle, lateness=keeper.lateness(i)) for i, vehicle in enumerate(flown))
         return FleetFlight(tuple(watched), tuple(keeper.corrections))
+
+    @property
+    def now_s(self) -> float:
+        """The link's clock."""
+        return self._clock.now_s()
 
     @property
     def armed(self) -> list[str]:
@@ -489,6 +508,12 @@ class FleetLink:
                     f"{vehicle.said(self._clock.now_s())}"
                 )
             yield
+
+    def _wait_until(self, at_s: float | None) -> None:
+        """Hear all vehicles until it is time."""
+        while at_s is not None and (left_s := at_s - self._clock.now_s()) > 0.0:
+            self._station.exchange()
+            self._clock.wait(min(WAIT_S, left_s))
 
     def _starting_later(self, vehicle: _Vehicle) -> Steps:
         assert self._start_s is not None

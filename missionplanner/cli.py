@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -272,6 +273,8 @@ def fly(
     if connect is not None and speedup is not None:
         raise MissionError("--speedup: expected only with built-in simulated vehicles, not with --connect")
     scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
+    if connect is not None:
+        _clock_start(fleet_plan, datetime.now(UTC))
     with _ground_station(scene, fleet_plan, folder, connect, speedup, unproven=unproven) as link:
         _transfer(link, scene, fleet_plan, unproven=unproven)
         try:
@@ -406,7 +409,8 @@ def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool)
     failure: LinkError | None = None
     try:
         with _stderr.status("waiting until all can be armed") as status:
-            link.start(lambda name, missing: status.update(f"{name}: {missing}"))
+            at_s = None if simulated else _start_on_clock(link, fleet_plan, status.update)
+            link.start(lambda name, missing: status.update(f"{name}: {missing}"), at_s=at_s)
     except LinkError as error:
         if not link.armed:
             raise
@@ -419,6 +423,37 @@ def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool)
     if failure is not None:
         raise failure
     return flight
+
+
+def _start_on_clock(link: FleetLink, fleet_plan: FleetPlan, tell: Callable[[str], None]) -> float | None:
+    """Return when, on the link's clock, the mission must start to arrive at ``fleet.arrival_utc``; None: at once."""
+    start = _clock_start(fleet_plan, datetime.now(UTC))
+    if start is None:
+        return None
+    tell(f"starts at {start:%H:%M:%S} UTC, as soon as all can be armed")
+    return link.now_s + (start - datetime.now(UTC)).total_seconds()
+
+
+def _clock_start(fleet_plan: FleetPlan, now: datetime) -> datetime | None:
+    """Return when a mission with ``fleet.arrival_utc`` must start.
+
+    Raises
+    ------
+    InfeasibleError
+        That is past already: the message says the earliest arrival.
+    """
+    arrival, arrival_s = fleet_plan.mission.fleet.arrival_clock, fleet_plan.arrival_s
+    if arrival is None or arrival_s is None:
+        return None
+    start = arrival - timedelta(seconds=arrival_s)
+    if start < now:
+        earliest = now + timedelta(seconds=math.ceil(arrival_s))
+        what = "is past" if arrival <= now else f"is too soon: the fleet flies {arrival_s:.0f} s until then"
+        raise InfeasibleError(
+            f"fleet.arrival_utc: {arrival:%Y-%m-%d %H:%M:%S} UTC {what}; the earliest arrival, started now, is "
+            f"{earliest:%Y-%m-%d %H:%M:%S} UTC, and preparing takes a minute or more"
+        )
+    return start
 
 
 def _watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool) -> FleetFlight:
@@ -558,7 +593,8 @@ def replay(
 
     if plan_folder == Path() and not (plan_folder / "plan.json").exists():
         raise MissionError("--plan: expected the plan folder whose missions were flown")
-    paths = logs or sorted((plan_folder / LOGS).glob("*.tlog"))
+    merged = plan_folder / LOGS / "fleet.tlog"  # holds what the vehicles' own logs do
+    paths = logs or ([merged] if merged.exists() else sorted((plan_folder / LOGS).glob("*.tlog")))
     if not paths:
         raise MissionError(f"replay: expected telemetry logs (.tlog), got none, and none are in {plan_folder / LOGS}")
     _, fleet_plan = load_plan(plan_folder)
@@ -716,6 +752,7 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
                 compiling.wait()  # flights come next: what the other process compiles would be compiled twice
 
         fleet_plan = plan_fleet(scene, seed=seed, watch=watch)
+    _clock_start(fleet_plan, datetime.now(UTC))
     again = (folder / PLAN_NAME).exists()
     save_plan(folder, scene, fleet_plan)
     certificate = certify_plan(scene, fleet_plan)

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import closing
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -82,6 +83,23 @@ WRONG_MISSIONS = {
         ["vehicles[1].goal", "expected this field, got none"],
     ),
     "misspelt field": (question(obstacels=[]), ["'obstacels'", "did you mean obstacles?"]),
+    "a time without its zone": (
+        question(fleet={"arrival_utc": "2030-01-01T10:00:00"}),
+        ["fleet.arrival_utc", "date, time and zone"],
+    ),
+    "an order of others": (
+        question(fleet={"arrival_order": ["alpha", "brave"]}),
+        ["fleet.arrival_order", "'brave'", "did you mean bravo?"],
+    ),
+    "spacing without order": (question(fleet={"arrival_spacing_s": 5}), ["fleet.arrival_spacing_s", "arrival_order"]),
+    "a clock without a common arrival": (
+        question(fleet={"arrive_together": False, "arrival_utc": "2030-01-01T10:00:00Z"}),
+        ["fleet.arrival_utc", "arrive_together"],
+    ),
+    "a meeting with nobody": (
+        question(fleet={"rendezvous": [{"name": "line", "at": {"alpha": 0, "charly": 0}}]}),
+        ["fleet.rendezvous[0].at", "'charly'"],
+    ),
     "misspelt inside": (field(question(), "vehicles.0.sped_m_s", 3), ["vehicles[0]", "did you mean speed_m_s?"]),
     "speeds reversed": (
         field(question(), "vehicles.1.speed_m_s", {"min": 12, "max": 4}),
@@ -249,6 +267,26 @@ def test_windows_that_do_not_meet_say_who_is_too_early_and_what_helps(cli: Cli, 
 def test_an_arrival_asked_for_too_early_names_the_earliest(cli: Cli, tmp_path: Path) -> None:
     data = question(fleet={"arrival_time_s": 20})
     expect_refusal(cli("plan", mission_file(tmp_path, data), "-o", "out"), 3, "arrival_time_s", "too early", "at least")
+
+
+@pytest.mark.parametrize(
+    ("ahead_s", "told"), [(-3600.0, "UTC is past; the earliest arrival"), (15.0, "is too soon: the fleet flies")]
+)
+def test_an_arrival_by_the_clock_that_cannot_be_names_the_earliest(
+    cli: Cli, tmp_path: Path, ahead_s: float, told: str
+) -> None:
+    clock = datetime.now(UTC) + timedelta(seconds=ahead_s)
+    data = question(fleet={"arrival_utc": clock.isoformat()})
+    expect_refusal(cli("plan", mission_file(tmp_path, data), "-o", "out"), 3, "fleet.arrival_utc", told, "earliest")
+    assert not (tmp_path / "out" / PLAN_NAME).exists()
+
+
+def test_an_arrival_by_the_clock(cli: Cli, tmp_path: Path) -> None:
+    text = mission_file(tmp_path, question()).read_text()
+    clock = (datetime.now(UTC) + timedelta(hours=1)).strftime("%Y-%m-%dT%H:%M:%SZ")
+    path = tmp_path / "clock.yaml"
+    path.write_text(text.rstrip()[:-1] + f", fleet: {{arrival_utc: {clock}}}}}\n")  # unquoted, as people write it
+    assert cli("plan", path, "-o", "out").code == 0
 
 
 def test_a_goal_that_is_walled_in_is_infeasible(cli: Cli, tmp_path: Path) -> None:

@@ -109,6 +109,28 @@ def test_a_bad_link_delays_but_does_not_deceive() -> None:
         assert lossy.arrival_s == pytest.approx(good.arrival_s, abs=0.6)
 
 
+def test_a_start_by_the_clock() -> None:
+    rig = Rig(small_fleet("ardupilot", 2))
+    rig.upload()
+    armed_s: list[float] = []
+    at_s = rig.link.now_s + 60.0
+    arming = rig.link._arming  # type: ignore[attr-defined]
+
+    def noted(vehicle: Any) -> Any:
+        armed_s.append(rig.link.now_s)
+        return arming(vehicle)
+
+    rig.link._arming = noted  # type: ignore[method-assign]
+    rig.link.start(at_s=at_s)
+    assert all(at_s - 5.0 <= t <= at_s for t in armed_s)
+    assert rig.link.now_s == pytest.approx(at_s, abs=2.0)
+    late = Rig(small_fleet("ardupilot", 2))
+    late.upload()
+    with pytest.raises(LinkError, match=r"after the start for fleet.arrival_utc: nothing was armed"):
+        late.link.start(at_s=late.link.now_s - 1.0)
+    assert late.link.armed == []
+
+
 def test_a_delayed_vehicle_starts_later_on_the_common_clock() -> None:
     plan = fleet_plan(
         vehicle_plan("first", 1),
