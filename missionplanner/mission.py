@@ -592,18 +592,6 @@ class Mission(Model):
         return self
 
     @model_validator(mode="after")
-    def _parameters_are_known(self) -> Mission:
-        for i, vehicle in enumerate(self.vehicles):
-            try:
-                vehicle.asked_motion()
-            except ParameterError as error:
-                raise _error_at(("vehicles", i, "parameters", error.name), str(error)) from error
-            ignored = None if vehicle.parameter_file else vehicle.ignored_speed()
-            if ignored is not None:
-                raise _error_at(("vehicles", i, "speed_m_s"), f"{ignored}: set the vehicle's, and say so in parameters")
-        return self
-
-    @model_validator(mode="after")
     def _planes_stay_in_the_air(self) -> Mission:
         for i, vehicle in enumerate(self.vehicles):
             if vehicle.vehicle_class == "plane" and vehicle.end == "land":
@@ -629,6 +617,18 @@ class Mission(Model):
                 if name not in names:
                     problem = f"expected the name of a vehicle, got {name!r}: {_suggestion(name, names)}"
                     raise _error_at(("fleet", "rendezvous", i, "at"), problem)
+        return self
+
+    @model_validator(mode="after")
+    def _parameters_are_known(self) -> Mission:
+        for i, vehicle in enumerate(self.vehicles):
+            try:
+                vehicle.asked_motion()
+            except ParameterError as error:
+                raise _error_at(("vehicles", i, "parameters", error.name), str(error)) from error
+            ignored = None if vehicle.parameter_file else vehicle.ignored_speed()
+            if ignored is not None:
+                raise _error_at(("vehicles", i, "speed_m_s"), f"{ignored}: {_SET_OTHERWISE}")
         return self
 
     @model_validator(mode="after")
@@ -734,7 +734,7 @@ def _with_parameter_file(vehicle: Vehicle, folder: Path) -> Vehicle:
         raise MissionError(f"{path}{line}: {vehicle.name}: {error}") from error
     ignored = resolved.ignored_speed()
     if ignored is not None:
-        raise MissionError(f"{vehicle.name}.speed_m_s: {ignored}: see {path}")
+        raise MissionError(f"{vehicle.name}.speed_m_s: {ignored}: the autopilot flies no other")
     return resolved
 
 
@@ -744,6 +744,7 @@ def mission_schema() -> dict[str, Any]:
 
 
 _MAX_FILE_BYTES = 16 * 1024 * 1024
+_SET_OTHERWISE = "the autopilot flies no other; if the vehicle's is set otherwise, say so in parameters"
 
 
 def _plain(part: Any) -> Any:
