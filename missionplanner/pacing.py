@@ -18,10 +18,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from missionplanner import timing
+from missionplanner import energy, proof, timing
 from missionplanner.geodesy import FloatArray
 from missionplanner.motion.state import DRAG, DRAG_SQUARED, LEAN, initial
 from missionplanner.plan import FleetPlan, Trajectory
+from missionplanner.scene import Scene
 from missionplanner.vehicle import Ending, MotionModel, true_airspeed
 
 SPEED_STEP_M_S = 1e-3
@@ -38,7 +39,7 @@ class Rules:
     """Least time between two commands to one vehicle: radio links are narrow."""
     band_s: float = 0.5
     """A predicted miss below this is none ..."""
-    band_share: float = 0.004
+    band_share: float = 0.006
     """... nor one below this share of what remains: it is left for later."""
     freeze_s: float = 15.0
     """Nothing is commanded so shortly before a goal."""
@@ -83,27 +84,59 @@ class Course:
         return self.speed_min_m_s / float(self.speed_m_s.max()), self.speed_max_m_s / float(self.speed_m_s.min())
 
 
-def courses(plan: FleetPlan, limits_m_s: Sequence[tuple[float, float]]) -> tuple[Course, ...]:
-    """Return what a plan's vehicles are to fly; ``limits_m_s`` are their least and greatest speeds."""
-    found = []
-    for vehicle, (low, high) in zip(plan.vehicles, limits_m_s, strict=True):
-        found.append(
-            Course(
-                name=vehicle.name,
-                model=vehicle.motion,
-                home_m=vehicle.home_m,
-                waypoints_m=vehicle.waypoints_m,
-                speed_m_s=vehicle.speeds_m_s,
-                hold_s=vehicle.hold_s,
-                end=vehicle.end,
-                planned=vehicle.trajectory,
-                reached_s=vehicle.reached_s,
-                arrival_s=vehicle.arrival_s,
-                speed_min_m_s=low,
-                speed_max_m_s=high,
-            )
-        )
-    return tuple(found)
+def course(scene: Scene, plan: FleetPlan, index: int) -> Course:
+    """Return what a plan's vehicle is to fly, and how slowly and how long its speed range and its battery allow."""
+    vehicle, limits = plan.vehicles[index], scene.tasks[index].limits
+    return Course(
+        name=vehicle.name,
+        model=vehicle.motion,
+        home_m=vehicle.home_m,
+        waypoints_m=vehicle.waypoints_m,
+        speed_m_s=vehicle.speeds_m_s,
+        hold_s=vehicle.hold_s,
+        end=vehicle.end,
+        planned=vehicle.trajectory,
+        reached_s=vehicle.reached_s,
+        arrival_s=vehicle.arrival_s,
+        speed_min_m_s=limits.speed_min_m_s,
+        speed_max_m_s=limits.speed_max_m_s,
+        latest_s=vehicle.arrival_s + _spare_s(scene, plan, index),
+    )
+
+
+def _spare_s(scene: Scene, plan: FleetPlan, index: int) -> float:
+    """Return how much longer than planned a vehicle's battery surely lasts; infinite where nothing is known of it."""
+    vehicle, settings = plan.vehicles[index], scene.mission.vehicles[index]
+    model = energy.energy_model(settings, scene.mission.air_m_s)
+    if model is None:
+        return math.inf
+    findings = () if plan.certificate is None else plan.certificate.findings
+    spare = [
+        finding.required - finding.value
+        for finding in findings
+        if finding.check == "energy"
+        and finding.vehicle == vehicle.name
+        and finding.unit == ""
+        and finding.value is not None
+        and finding.required is not None
+    ]
+    wind_m_s = (scene.mission.wind_max_m_s or 0.0) + math.hypot(*scene.mission.air_m_s)
+    high_m = float(vehicle.waypoints_m[:, 2].max())
+    share_s = float(model.power_share(vehicle.speed_m_s, 0.0, wind_m_s, high_m))
+    return max(min(spare, default=0.0), 0.0) / share_s
+
+
+def pacer(scene: Scene, plan: FleetPlan, *, correct: bool, rules: Rules | None = None) -> Pacer:
+    """Return what watches, and where allowed corrects, the flight of a plan."""
+    tasks = scene.tasks
+    return Pacer(
+        [course(scene, plan, index) for index in range(len(plan.vehicles))],
+        lambda i, j: proof.required_apart_m(scene, tasks[i], tasks[j]),
+        together=plan.arrival_s is not None,
+        correct=correct,
+        lateness_s=scene.mission.fleet.lateness_s,
+        rules=rules,
+    )
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -193,6 +226,8 @@ class Gust(NamedTuple):
 _AIR_NOISE_M_S = 0.5
 _WIND_SPREAD_M_S = 5.0
 _AIR_MEMORY_S = 900.0
+_GUSTS = 3
+"""Who was held up less often may have been held up by something else."""
 _WIND_SHARE_MAX = 0.65  # of an airspeed: nobody plans flights in more
 
 
@@ -203,7 +238,7 @@ def steady_wind(felt: Sequence[Gust], expected_m_s: tuple[float, float] = (0.0, 
     squares over all circles, and towards what was expected, by Gauss-Newton.
     """
     wind = np.array(expected_m_s, dtype=float)
-    if not any(gust.tight for gust in felt):
+    if sum(gust.tight for gust in felt) < _GUSTS:
         return wind
     velocity = np.array([gust.velocity_m_s for gust in felt])
     airspeed = np.array([gust.airspeed_m_s for gust in felt])
@@ -374,7 +409,7 @@ class Pacer:
         self._tracked = [_Tracked(course) for course in courses]
         self._lateness_s = lateness_s
         self._slack_s: float | None = None
-        self._wind_m_s = (0.0, 0.0)
+        self._wind_m_s = courses[0].model.wind_m_s
 
     @property
     def courses(self) -> tuple[Course, ...]:
@@ -512,14 +547,17 @@ class Pacer:
         if end_s > begin_s:
             tracked.ways.append((now[0] - before[0], end_s - begin_s))
 
-    def _flight(self, tracked: _Tracked, factor: float) -> tuple[Trajectory, FloatArray]:
-        """Return the whole flight at scaled speeds in the air as it is known, from its own start."""
-        key = (factor, *self._wind_m_s)
+    def _flight(
+        self, tracked: _Tracked, factor: float, wind_m_s: tuple[float, float] | None = None
+    ) -> tuple[Trajectory, FloatArray]:
+        """Return the whole flight at scaled speeds from its own start, in the air as it is known if none is given."""
+        wind_m_s = self._wind_m_s if wind_m_s is None else wind_m_s
+        key = (factor, *wind_m_s)
         found = tracked.flights.get(key)
         if found is None:
             course = tracked.course
             found = timing.predict_flight(
-                replace(course.model, wind_m_s=self._wind_m_s),
+                replace(course.model, wind_m_s=wind_m_s),
                 course.home_m,
                 course.waypoints_m,
                 course.speeds(factor),
@@ -614,21 +652,23 @@ class Pacer:
         from_m, to_m = course.waypoints_m[leg - 1], course.waypoints_m[leg]
         if min(math.dist(seen.position_m[:2], from_m[:2]), math.dist(seen.position_m[:2], to_m[:2])) < _FROM_CORNERS_M:
             return
-        commanded = float(course.speeds(tracked.factor)[leg - 1])
-        model = course.model
-        rise_m = float(to_m[2] - from_m[2])
-        level_m = math.dist(from_m[:2], to_m[:2])
-        rate_m_s = model.climb_rate_m_s if rise_m > 0.0 else model.descent_rate_m_s
-        expected = commanded if rise_m == 0.0 else min(commanded, rate_m_s * level_m / abs(rise_m))
-        airspeed = airspeed_max_m_s(model, float(seen.position_m[2]), commanded)
         speed = float(np.hypot(*mean))
         if speed < 2.0 * _STILL_M_S:
             return
-        plane = model.vehicle_class == "plane"
-        tight = plane or speed < min(expected, airspeed) - _HELD_UP_M_S
+        commanded = float(course.speeds(tracked.factor)[leg - 1])
+        airspeed = airspeed_max_m_s(course.model, float(seen.position_m[2]), commanded)
+        expected = self._expected_m_s(tracked, place_of(course, leg, seen.position_m))
+        tight = course.model.vehicle_class == "plane" or speed < min(expected, airspeed) - _HELD_UP_M_S
         tracked.felt.append(Gust(seen.t_s, (float(mean[0]), float(mean[1])), airspeed, tight))
         while tracked.felt[0].t_s < seen.t_s - _AIR_MEMORY_S:
             tracked.felt.popleft()
+
+    def _expected_m_s(self, tracked: _Tracked, place: Place) -> float:
+        """Return how fast over ground a vehicle would be at a place in the wind that was planned for."""
+        flight, reached_s = self._flight(tracked, tracked.factor, tracked.course.model.wind_m_s)
+        at_s, _ = times_at(tracked.course, flight, reached_s, place)
+        before_m, after_m = flight.at(np.array([at_s - 0.5, at_s + 0.5]))
+        return math.dist(before_m[:2], after_m[:2])
 
     # -- the fleet --------------------------------------------------------------------------------------------------
 
@@ -643,8 +683,7 @@ class Pacer:
             return [common_delay([window]) for window in windows]
         fixed = [p for p in taking_part if p.earliest_s == p.latest_s]
         free = [(_less(p.earliest_s, p), _less(p.latest_s, p)) for p in flying if p not in fixed]
-        wanted = sum(_less(p.arrival_s, p) for p in fixed) / len(fixed) if fixed else 0.0
-        return [common_delay(free, wanted)] * len(paces)
+        return [common_delay(free, [_less(p.arrival_s, p) for p in fixed])] * len(paces)
 
     def _corrections(
         self, paces: Sequence[Pace], delays: Sequence[float]
@@ -773,13 +812,13 @@ def _less(at_s: float | None, pace: Pace) -> float:
     return 0.0 if at_s is None else at_s - pace.planned_s
 
 
-def common_delay(windows_s: Sequence[tuple[float, float]], wanted_s: float = 0.0) -> float:
-    """Return the delay nearest to the one wanted that lies within all windows (earliest, latest); else the earliest.
+def common_delay(windows_s: Sequence[tuple[float, float]], fixed_s: Sequence[float] = ()) -> float:
+    """Return the delay of all: none if it lies within all windows (earliest, latest), else the least that all can make.
 
-    Where the windows do not meet, nobody waits for those who cannot wait: it is the least that all can make.
+    Who has arrived, or can no longer be changed, is joined as well as possible. Where windows do not meet, those who
+    cannot be so late are early.
     """
-    if not windows_s:
-        return wanted_s
-    earliest = max(window[0] for window in windows_s)
-    latest = min(window[1] for window in windows_s)
-    return max(earliest, min(wanted_s, latest))
+    earliest = max((window[0] for window in windows_s), default=-math.inf)
+    latest = min((window[1] for window in windows_s), default=math.inf)
+    wanted = sum(fixed_s) / len(fixed_s) if fixed_s else min(0.0, latest)
+    return max(earliest, wanted)

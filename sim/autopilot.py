@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum, auto
+from itertools import pairwise
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -104,6 +105,7 @@ class Autopilot:
         ground: Ground,
         parameters: MutableMapping[str, int | float],
         cold_start: bool = False,
+        late_s: float = 0.0,
     ) -> None:
         self.personality = personality
         self.parameters = parameters
@@ -135,6 +137,7 @@ class Autopilot:
         self._wait_until_s = math.inf
         self._idle_since_s = 0.0
         self._airborne_since_s = math.inf
+        self._late_s = late_s  # on the ground before its first take-off of a mission, for whatever reason
 
     # -- state ------------------------------------------------------------------------------------------------------
 
@@ -304,12 +307,20 @@ class Autopilot:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def change_speed(self, kind: float, speed_m_s: float) -> int:
-        """Obey DO_CHANGE_SPEED at once, for the leg being flown too."""
+        """Obey DO_CHANGE_SPEED at once, for the leg being flown too, until an item of the mission changes it again."""
         before = self._speed_m_s
         self._note_speed(kind, speed_m_s)
         if self._speed_m_s != before and self._stage is not None and self._stage.doing is _Doing.LEGS:
-            self._navigator.set_speed(self._index, self._speed_m_s)
+            self._navigator.set_speed(self._index, self._speed_m_s, self._legs_to_next_speed(self._stage))
         return int(mavlink.MAV_RESULT_ACCEPTED)
+
+    def _legs_to_next_speed(self, stage: _Stage) -> int:
+        """Return how many legs of a stage, the present one first, are flown before its mission sets a speed."""
+        seqs = stage.seqs[self._passed :]
+        for legs, (seq, after) in enumerate(pairwise(seqs), start=1):
+            if any(item.command == mavlink.MAV_CMD_DO_CHANGE_SPEED for item in self.mission[seq + 1 : after]):
+                return legs
+        return len(seqs)
 
     def set_home(self, position_m: FloatArray) -> int:
         """Move home."""
@@ -679,11 +690,13 @@ class Autopilot:
         top = np.array([*(place if plane else here)[:2], max(place[2], here[2])])
         if not self.landed and top[2] - here[2] < 0.1:
             return [_Stage(_Doing.WAIT, done_seq=seq)]
+        late = [_Stage(_Doing.WAIT, wait_s=self._late_s)] if self.landed and self._late_s > 0.0 else []
+        self._late_s = 0.0
         away_m = math.dist(place[:2], here[:2])
         if self.personality.autopilot == "px4" and not plane and away_m > self._by_parameters().waypoint_radius_m:
             climb = self._climb(top, -1)
-            return [climb, _Stage(_Doing.LEGS, self._leg(np.array([place[0], place[1], top[2]])), (seq,))]
-        return [self._climb(top, seq)]
+            return [*late, climb, _Stage(_Doing.LEGS, self._leg(np.array([place[0], place[1], top[2]])), (seq,))]
+        return [*late, self._climb(top, seq)]
 
     def _land_stages(self, seq: int, item: MissionItem) -> list[_Stage]:
         here, place = self.position_m, self._place(item)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import select
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, cast
 
@@ -46,6 +46,7 @@ class SimVehicle:
     vehicle_class: VehicleClass
     home: GeoPoint
     motion: MotionModel
+    late_s: float = 0.0  # how much later than told it takes off
 
 
 class SimFleet:
@@ -101,6 +102,7 @@ class SimFleet:
                 ground=ground or _level(vehicle.home.alt_amsl_m),
                 parameters=parameters,
                 cold_start=cold_start,
+                late_s=vehicle.late_s,
             )
             phase_s = TICK_S * int(rng.integers(0, round(0.2 / TICK_S)))
             link = VehicleLink(
@@ -357,10 +359,33 @@ def sim_vehicles(
     return [SimVehicle(i + 1, autopilot, vehicle_class, place, motion) for i, place in enumerate(homes)]
 
 
-def planned_vehicles(plan: FleetPlan) -> list[SimVehicle]:
-    """Return the vehicles of a plan, standing at their homes: to be simulated in ``plan.frame``."""
+def planned_vehicles(
+    plan: FleetPlan, *, wind_m_s: tuple[float, float] | None = None, late_s: Mapping[str, float] | None = None
+) -> list[SimVehicle]:
+    """Return the vehicles of a plan, standing at their homes: to be simulated in ``plan.frame``.
+
+    A rehearsal may disturb them in ways that the plan does not know of: ``wind_m_s`` (east, north) blows instead of the
+    wind planned for, vehicles named in ``late_s`` take off so much later than told.
+
+    Raises
+    ------
+    MissionError
+        A name in ``late_s`` is no vehicle's.
+    """
+    late = late_s or {}
+    unknown = set(late) - {v.name for v in plan.vehicles}
+    if unknown:
+        names = ", ".join(v.name for v in plan.vehicles)
+        raise MissionError(f"late start: expected names of vehicles ({names}), got {', '.join(sorted(unknown))}")
     return [
-        SimVehicle(v.sysid, v.autopilot, v.vehicle_class, plan.frame.geo_point(v.home_m), v.motion)
+        SimVehicle(
+            v.sysid,
+            v.autopilot,
+            v.vehicle_class,
+            plan.frame.geo_point(v.home_m),
+            v.motion if wind_m_s is None else replace(v.motion, wind_m_s=wind_m_s),
+            late.get(v.name, 0.0),
+        )
         for v in plan.vehicles
     ]
 

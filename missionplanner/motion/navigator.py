@@ -132,10 +132,12 @@ class Navigator:
         self._floats[i, moved] = after[moved]
         self._models[i] = model
 
-    def set_speed(self, i: int, speed_m_s: float) -> None:
-        """Fly the rest of the route at another speed, as soon as the autopilot's navigator can."""
+    def set_speed(self, i: int, speed_m_s: float, legs: int | None = None) -> None:
+        """Fly so many legs, the present one first (None: all), at another speed, as soon as the navigator can."""
         count, waypoint = self._integers[i, [COUNT, WAYPOINT]]
-        self._routes[i, min(waypoint, max(count - 1, 0)) : count, SPEED] = speed_m_s
+        first = min(waypoint, max(count - 1, 0))
+        until = count if legs is None else min(first + legs, count)
+        self._routes[i, first:until, SPEED] = speed_m_s
         self._floats[i, NEW_SPEED] = speed_m_s
 
     def halt(self, i: int) -> None:
