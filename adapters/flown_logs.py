@@ -70,6 +70,7 @@ _WANTED = frozenset(
 _MOVED_M = 2.0
 _AT_HOME_M = 30.0
 _ELSEWHERE_M = 100.0  # half of the flight further than this from the plan's path: it is another mission's
+_SAMPLES = 1000
 _WRONG_TIME_S = 60.0  # off its neighbours: the time of a record has no checksum
 _COMMAND_EARLY_S = 5.0  # before the heartbeat that shows the vehicle not yet in its mission
 _JUMP_M, _JUMP_M_S, _JUMP_SHARE = 100.0, 150.0, 0.05
@@ -355,6 +356,11 @@ def _planned_move_s(vehicle: VehiclePlan) -> float:
 # --- the flight ------------------------------------------------------------------------------------------------------
 
 
+def _thinned(position_m: FloatArray) -> FloatArray:
+    """Return some of the positions, enough to tell one site's mission from another's."""
+    return position_m[np.linspace(0, len(position_m) - 1, min(len(position_m), _SAMPLES)).round().astype(np.intp)]
+
+
 def _flown(
     vehicle: VehiclePlan, records: Records, start_s: float, frame: LocalFrame, found: _Found
 ) -> tuple[FlownVehicle | None, dict[int, float]]:
@@ -375,7 +381,7 @@ def _flown(
     if len(track.t_s) < 2:
         found.problems.append(f"{who}: expected positions after the mission's start, got none")
         return None, {}
-    off_m = float(np.median(path_distance_m(track.position_m, vehicle.trajectory.position_m)))
+    off_m = float(np.median(path_distance_m(_thinned(track.position_m), _thinned(vehicle.trajectory.position_m))))
     if off_m > _ELSEWHERE_M:
         found.problems.append(
             f"{who}: expected positions along its planned path, got half of them more than {off_m:.0f} m off it: "

@@ -25,7 +25,7 @@ from missionplanner.plan import Clearance, FleetPlan, FlownVehicle, Trajectory, 
 
 _GRID_S = 0.25
 _GRID_MAX = 4000  # places on the plan, and flown positions, that are weighed against each other
-_STAND_M_S = 0.1  # a second off the plan's time weighs as much as these metres: it decides where the plan stands still
+_STAND_M_S = 0.05  # a second off the plan's time weighs as much as these metres: it decides where the plan stands still
 _TANGENT_S = 0.5
 _CHUNK = 2_000_000
 
