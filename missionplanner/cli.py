@@ -30,8 +30,10 @@ if TYPE_CHECKING:  # the planner takes a second to import: commands that do with
     from missionplanner.certificate import Certificate
     from missionplanner.flight_check import FlightCheck
     from missionplanner.mission import Mission
+    from missionplanner.pacing import Pacer
     from missionplanner.plan import FleetFlight, FleetPlan
     from missionplanner.scene import Scene
+    from sim.fleet import SimVehicle
 
 app = typer.Typer(
     help="Plan, check, export, upload and fly missions for fleets of UAVs.",
@@ -260,25 +262,51 @@ def fly(
         float | None,
         typer.Option(min=0.01, help="simulated vehicles only: times real time; default: as fast as possible"),
     ] = None,
+    correct: Annotated[
+        bool | None,
+        typer.Option(
+            "--correct/--no-correct",
+            help="change speeds on the way so that all arrive together; default: the mission's fleet.correction",
+        ),
+    ] = None,
+    sim_wind: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SPEED_M_S,FROM_DEG",
+            help="rehearsal: simulated vehicles fly in wind that the plan does not know of",
+        ),
+    ] = None,
+    sim_late: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=SECONDS", help="rehearsal: a simulated vehicle takes off so much later than told"),
+    ] = None,
     output: Output = None,
     seed: Seed = None,
     unproven: Unproven = False,
     as_json: AsJson = False,
 ) -> None:
-    """Plan if need be, upload, prove what the vehicles hold, start together, fly, and report."""
+    """Plan if need be, upload, prove what the vehicles hold, start together, fly, keep together, and report."""
     from missionplanner.flight_check import check_flight
+    from missionplanner.pacing import pacer
     from missionplanner.plan_folder import save_flight
     from missionplanner.report import write_report
+    from sim.fleet import planned_vehicles
 
-    if connect is not None and speedup is not None:
-        raise MissionError("--speedup: expected only with built-in simulated vehicles, not with --connect")
+    simulated_only = {"--speedup": speedup, "--sim-wind": sim_wind, "--sim-late": sim_late or None}
+    for option, value in simulated_only.items():
+        if connect is not None and value is not None:
+            raise MissionError(f"{option}: expected only with built-in simulated vehicles, not with --connect")
+    wind_m_s, late_s = _sim_wind(sim_wind), _sim_late(sim_late or [])
     scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
+    vehicles = planned_vehicles(fleet_plan, wind_m_s=wind_m_s, late_s=late_s)
+    correct = fleet_plan.mission.fleet.correction != "off" if correct is None else correct
     if connect is not None:
         _clock_start(fleet_plan, datetime.now(UTC))
-    with _ground_station(scene, fleet_plan, folder, connect, speedup, unproven=unproven) as link:
+    with _ground_station(scene, fleet_plan, folder, connect, speedup, unproven=unproven, vehicles=vehicles) as link:
         _transfer(link, scene, fleet_plan, unproven=unproven)
         try:
-            flight = _start_and_watch(link, fleet_plan, simulated=connect is None)
+            keeps = pacer(scene, fleet_plan, correct=correct)
+            flight = _start_and_watch(link, fleet_plan, keeps, simulated=connect is None)
         finally:
             recorded = link.flight()
             if all(len(vehicle.trajectory.t_s) for vehicle in recorded.vehicles):
@@ -294,6 +322,34 @@ def fly(
         raise _verdict(f"{folder}: {', '.join(missing)} never reached the goal: see {report_path}")
     if not check.ok:
         raise _verdict(f"{folder}: the flight did not keep every clearance: see {report_path}")
+
+
+def _sim_wind(text: str | None) -> tuple[float, float] | None:
+    """Return the velocity (east, north) of a wind given by its speed and where it comes from."""
+    if text is None:
+        return None
+    try:
+        speed_m_s, from_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise MissionError(f"--sim-wind: expected SPEED_M_S,FROM_DEG, e.g. 5,270, got {text!r}") from None
+    if not (0.0 <= speed_m_s <= 50.0 and math.isfinite(from_deg)):
+        raise MissionError(f"--sim-wind: expected a speed from 0 to 50 m/s and a direction in degrees, got {text!r}")
+    angle_rad = math.radians(from_deg)
+    return -speed_m_s * math.sin(angle_rad), -speed_m_s * math.cos(angle_rad)
+
+
+def _sim_late(texts: Sequence[str]) -> dict[str, float]:
+    """Return by how much named vehicles take off late."""
+    late_s: dict[str, float] = {}
+    for text in texts:
+        name, _, seconds = text.partition("=")
+        try:
+            late_s[name] = float(seconds)
+        except ValueError:
+            raise MissionError(f"--sim-late: expected NAME=SECONDS, e.g. uav1=10, got {text!r}") from None
+        if not 0.0 <= late_s[name] <= 3600.0:
+            raise MissionError(f"--sim-late: expected 0 to 3600 seconds, got {text!r}")
+    return late_s
 
 
 def _verdict(told: str) -> typer.Exit:
@@ -317,13 +373,20 @@ def _proven_plan(
 
 @contextmanager
 def _ground_station(
-    scene: Scene, fleet_plan: FleetPlan, folder: Path, connect: str | None, speedup: float | None, *, unproven: bool
+    scene: Scene,
+    fleet_plan: FleetPlan,
+    folder: Path,
+    connect: str | None,
+    speedup: float | None,
+    *,
+    unproven: bool,
+    vehicles: Sequence[SimVehicle] = (),
 ) -> Iterator[FleetLink]:
     """Connect to the fleet's vehicles, or to simulated ones that stand where the plan wants them; log what is said."""
     from adapters.endpoint import open_endpoint
     from adapters.fleet_link import FleetLink, WallClock
     from adapters.telemetry_log import FleetLog
-    from sim.fleet import LockstepClock, SimFleet, connect_fleet, planned_vehicles
+    from sim.fleet import LockstepClock, SimFleet, connect_fleet
 
     def ground(x_m: float, y_m: float) -> float:
         return scene.terrain.ground_amsl_m(x_m, y_m, "a simulated vehicle's landing place")
@@ -335,7 +398,7 @@ def _ground_station(
             clock = WallClock(endpoints)
         else:
             endpoints = [stack.enter_context(closing(open_endpoint("udpin:127.0.0.1:0")))]
-            fleet = SimFleet(planned_vehicles(fleet_plan), frame=scene.frame, ground=ground, seed=fleet_plan.seed)
+            fleet = SimFleet(vehicles, frame=scene.frame, ground=ground, seed=fleet_plan.seed)
             stack.callback(fleet.close)
             connect_fleet(fleet, endpoints[0].url.replace("udpin", "udpout"))
             clock = LockstepClock(fleet, speedup)
@@ -404,7 +467,7 @@ def _transfer_bars(progress: Progress, what: str) -> Callable[[str, int, int], N
     return show
 
 
-def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool) -> FleetFlight:
+def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, pacer: Pacer, *, simulated: bool) -> FleetFlight:
     """Start all together and watch until all have ended; an interrupt asks what the vehicles shall do."""
     failure: LinkError | None = None
     try:
@@ -419,7 +482,7 @@ def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool)
     except KeyboardInterrupt:
         _leave(link, simulated=simulated)
         raise
-    flight = _watch(link, fleet_plan, simulated=simulated)
+    flight = _watch(link, fleet_plan, pacer, simulated=simulated)
     if failure is not None:
         raise failure
     return flight
@@ -456,7 +519,7 @@ def _clock_start(fleet_plan: FleetPlan, now: datetime) -> datetime | None:
     return start
 
 
-def _watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool) -> FleetFlight:
+def _watch(link: FleetLink, fleet_plan: FleetPlan, pacer: Pacer, *, simulated: bool) -> FleetFlight:
     with _progress() as progress:
         ends_s = {vehicle.sysid: float(vehicle.trajectory.t_s[-1]) for vehicle in fleet_plan.vehicles}
         bars = {v.sysid: progress.add_task(f"flying {v.name}", total=ends_s[v.sysid]) for v in fleet_plan.vehicles}
@@ -464,10 +527,15 @@ def _watch(link: FleetLink, fleet_plan: FleetPlan, *, simulated: bool) -> FleetF
         def show(fleet: Sequence[VehicleStatus]) -> None:
             for vehicle in fleet:
                 done_s = ends_s[vehicle.sysid] if vehicle.landed else (vehicle.t_s or 0.0)
-                progress.update(bars[vehicle.sysid], completed=done_s)
+                pace = vehicle.pace
+                late = "" if pace is None or pace.lateness_s is None else f" {pace.lateness_s:+.1f} s"
+                progress.update(bars[vehicle.sysid], completed=done_s, description=f"flying {vehicle.name}{late}")
+
+        def tell(text: str) -> None:
+            progress.console.print(text, soft_wrap=True, highlight=False, markup=False)
 
         try:
-            return link.watch(show)
+            return link.watch(show, pacer=pacer, tell=tell)
         except KeyboardInterrupt:
             progress.stop()
             _leave(link, simulated=simulated)
