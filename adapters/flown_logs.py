@@ -68,6 +68,7 @@ _WANTED = frozenset(
     }
 )
 _MOVED_M = 2.0
+_PLAN_STEP_S = 0.02
 _AT_HOME_M = 30.0
 _ELSEWHERE_M = 100.0  # half of the flight further than this from the plan's path: it is another mission's
 _SAMPLES = 1000
@@ -348,9 +349,10 @@ def _acks(records: Records) -> list[float]:
 
 def _planned_move_s(vehicle: VehiclePlan) -> float:
     """Return when the plan has it so far from home that it counts as moved."""
-    away_m = np.linalg.norm(vehicle.trajectory.position_m - vehicle.trajectory.position_m[0], axis=1)
-    gone = np.flatnonzero(away_m > _MOVED_M)
-    return float(vehicle.trajectory.t_s[gone[0]]) if gone.size else vehicle.start_delay_s
+    track = vehicle.trajectory
+    t_s = np.arange(float(track.t_s[0]), float(track.t_s[-1]), _PLAN_STEP_S)
+    gone = np.flatnonzero(np.linalg.norm(track.at(t_s) - track.position_m[0], axis=1) > _MOVED_M)
+    return float(t_s[gone[0]]) if gone.size else vehicle.start_delay_s
 
 
 # --- the flight ------------------------------------------------------------------------------------------------------
