@@ -26,7 +26,7 @@ import numpy.typing as npt
 from missionplanner.certificate import Finding
 from missionplanner.geodesy import FloatArray
 from missionplanner.mission import VehicleSettings
-from missionplanner.motion import landing_points, return_points
+from missionplanner.motion import landing_s, return_points
 from missionplanner.plan import Trajectory
 from missionplanner.sortie import Sortie
 from missionplanner.vehicle import MotionModel, motion_model, vehicle_limits
@@ -191,11 +191,9 @@ def return_share(
         way_s = (away_m + braking_m) / ground_m_s
     high_m = np.maximum(position[:, 2] + rise_m_s * (0.5 * rise_m_s + _SETTLING_S), above[2])
     if copter:
-        down = landing_points(motion, above, float(home[2]))
-        drops_m = -np.diff(np.concatenate([above[2:], down.points_m[:, 2]]))
-        landing_s = float(np.sum(drops_m / np.minimum(down.vertical_m_s, motion.descent_rate_m_s)))
-        landing_s += float(way.hold_s.sum()) + 2.0 * _SETTLING_S * len(way.points_m)
-        ending_s = landing_s + (high_m - above[2]) / motion.descent_rate_m_s
+        down_s = landing_s(motion, return_height_m)
+        down_s += float(way.hold_s.sum()) + 2.0 * _SETTLING_S * len(way.points_m)
+        ending_s = down_s + (high_m - above[2]) / motion.descent_rate_m_s
     else:
         ending_s = np.full(len(position), 2.0 * 2.0 * math.pi * motion.loiter_radius_m / ground_m_s)
     altitudes_m = np.array([min(float(home[2]), float(position[:, 2].min())), float(high_m.max())])

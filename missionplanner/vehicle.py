@@ -26,6 +26,34 @@ def true_airspeed(alt_amsl_m: float) -> float:
 
 
 @dataclass(frozen=True, slots=True)
+class Px4Tuning:
+    """Parameters of PX4 multicopters that no mission sets; defaults of PX4 1.15 and of the vehicle it simulates."""
+
+    corner_gain: float = 0.5  # MPC_XY_TRAJ_P: share of the acceleration that corners are planned with
+    lag_max_m: float = 2.0  # MPC_XY_ERR_MAX
+    altitude_radius_m: float = 0.8  # NAV_MC_ALT_RAD
+    speed_max_m_s: float = 12.0  # MPC_XY_VEL_MAX
+    return_speed_m_s: float = 5.0  # MPC_XY_CRUISE: RTL forgets the mission's speed
+    return_descend_m: float = 10.0  # RTL_DESCEND_ALT: as a waypoint down to this height, then LAND
+    climb_acceleration_m_s2: float = 4.0  # MPC_ACC_UP_MAX
+    descent_acceleration_m_s2: float = 3.0  # MPC_ACC_DOWN_MAX
+    takeoff_speed_m_s: float = 1.5  # MPC_TKO_SPEED, below slow_below_m
+    takeoff_ramp_s: float = 3.0  # MPC_TKO_RAMP_T
+    land_speed_m_s: float = 0.7  # MPC_LAND_SPEED, below land_below_m
+    land_crawl_m_s: float = 0.3  # MPC_LAND_CRWL, below crawl_below_m, where the height above the ground is measured
+    slow_below_m: float = 10.0  # MPC_LAND_ALT1
+    land_below_m: float = 5.0  # MPC_LAND_ALT2
+    crawl_below_m: float = 1.0  # MPC_LAND_ALT3
+    position_gain: float = 0.95  # MPC_XY_P
+    velocity_gains: tuple[float, float, float] = (1.8, 0.4, 0.2)  # MPC_XY_VEL_P_ACC, _I_ACC, _D_ACC
+    vertical_position_gain: float = 1.0  # MPC_Z_P
+    vertical_velocity_gains: tuple[float, float] = (4.0, 2.0)  # MPC_Z_VEL_P_ACC, _I_ACC
+    tilt_max_deg: float = 45.0  # MPC_TILTMAX_AIR
+    thrust_max: float = 2.0  # MPC_THR_MAX / MPC_THR_HOVER: greatest thrust as a multiple of the weight
+    drag_s: float = 1.0  # SIH_KDV / SIH_MASS: deceleration by drag per speed through the air, 1/s
+
+
+@dataclass(frozen=True, slots=True)
 class ArducopterTuning:
     """Parameters of ArduCopter that no mission sets; defaults of 4.5."""
 
@@ -33,6 +61,14 @@ class ArducopterTuning:
     return_speed_m_s: float = 0.0  # RTL_SPEED; 0: its cruise speed, whatever the mission has set
     return_wait_s: float = 5.0  # RTL_LOIT_TIME, above home
     return_final_height_m: float = 0.0  # RTL_ALT_FINAL; above 0 it would stay there, which nothing here plans for
+    vertical_acceleration_m_s2: float = 1.0  # WPNAV_ACCEL_Z
+    corner_acceleration_m_s2: float = 0.0  # WPNAV_ACCEL_C; 0: twice WPNAV_ACCEL
+    land_speed_m_s: float = 0.5  # LAND_SPEED, below land_slow_below_m
+    land_slow_below_m: float = 10.0  # LAND_ALT_LOW
+    lean_max_deg: float = 30.0  # ANGLE_MAX
+    input_time_s: float = 0.15  # ATC_INPUT_TC: how fast it leans
+    position_gain: float = 1.0  # PSC_POSXY_P
+    velocity_gains: tuple[float, float, float] = (2.0, 1.0, 0.5)  # PSC_VELXY_P, _I, _D
 
     @property
     def homing_m_s(self) -> float:
@@ -54,6 +90,7 @@ class MotionModel:
     turn_radius_m: float
     return_height_m: float = 15.0  # above home, RTL; a copter that is higher stays so high
     wind_m_s: tuple[float, float] = (0.0, 0.0)  # steady velocity of the air: east, north
+    px4: Px4Tuning = Px4Tuning()  # PX4 multicopters only
     arducopter: ArducopterTuning = ArducopterTuning()  # ArduCopter only
     # planes only
     cruise_speed_m_s: float = 22.0  # while no mission says otherwise: on take-off and on the way home

@@ -9,13 +9,14 @@ understand it; vertical rates have their own limits, and the slower of the two d
 """
 
 from missionplanner.motion.navigator import TICK_S, Navigator, predict
-from missionplanner.motion.routes import Route, landing_points, return_points, takeoff_points
+from missionplanner.motion.routes import Route, landing_points, landing_s, return_points, takeoff_points
 
 __all__ = [
     "TICK_S",
     "Navigator",
     "Route",
     "landing_points",
+    "landing_s",
     "predict",
     "return_points",
     "takeoff_points",

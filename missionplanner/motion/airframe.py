@@ -5,13 +5,25 @@ from __future__ import annotations
 import math
 
 from missionplanner.motion.state import (
+    ALTITUDE_GAIN,
+    DAMPING,
+    DAMPING_GAIN,
     DRAG,
     DRAG_SQUARED,
+    DRAG_VERTICAL,
+    ERROR,
+    ERROR_TIME,
     INTEGRAL,
     INTEGRAL_GAIN,
     LEAN,
+    LEAN_TARGET,
+    LEAN_TIME,
+    LIFT_GAIN,
+    LIFT_INTEGRAL_GAIN,
     POSITION,
     POSITION_GAIN,
+    RATE_TIME,
+    RISE_GAIN,
     TARGET,
     TARGET_ACCELERATION,
     TARGET_VELOCITY,
@@ -23,18 +35,16 @@ from missionplanner.motion.state import (
     kernel,
 )
 
-_LEAN_TIME_S = 0.15  # how fast the vehicle leans: ATC_INPUT_TC, MC_ROLL_P
-
 
 @kernel
 def follow_target(s: FloatArray, h: float) -> None:
-    """Move the vehicle by ``h`` seconds: horizontally after its target, vertically with it.
+    """Move the vehicle by ``h`` seconds after its target.
 
-    P on the position, PI on the velocity, feed-forward of the target's velocity and acceleration; the sum is what the
+    P on the position, PID on the velocity, feed-forward of the target's velocity and acceleration; the sum is what the
     vehicle leans for, up to its lean limit, against a drag that grows with its speed through the air.
     """
-    wish_x = _wish(s, 0)
-    wish_y = _wish(s, 1)
+    wish_x = _wish(s, 0, h)
+    wish_y = _wish(s, 1, h)
     total = math.hypot(wish_x, wish_y)
     limited = total > s[LEAN]
     if limited:
@@ -42,27 +52,55 @@ def follow_target(s: FloatArray, h: float) -> None:
         wish_y *= s[LEAN] / total
     speed = math.hypot(s[VELOCITY] - s[WIND], s[VELOCITY + 1] - s[WIND + 1])
     drag = s[DRAG] + s[DRAG_SQUARED] * speed
-    share = min(1.0, h / _LEAN_TIME_S)
     for axis in range(2):
-        error = _velocity_error(s, axis)
+        error = s[ERROR + axis]
         if not limited or error * s[INTEGRAL + axis] < 0.0:  # no wind-up against the lean limit
             s[INTEGRAL + axis] += s[INTEGRAL_GAIN] * error * h
-        s[THRUST + axis] += ((wish_x if axis == 0 else wish_y) - s[THRUST + axis]) * share
+        wish = wish_x if axis == 0 else wish_y
+        s[LEAN_TARGET + axis] += (wish - s[LEAN_TARGET + axis]) * _share(h, s[LEAN_TIME])
+        s[THRUST + axis] += (s[LEAN_TARGET + axis] - s[THRUST + axis]) * _share(h, s[RATE_TIME])
         before = s[VELOCITY + axis]
         s[VELOCITY + axis] += (s[THRUST + axis] - drag * (before - s[WIND + axis])) * h
         s[POSITION + axis] += 0.5 * (before + s[VELOCITY + axis]) * h
-    s[VELOCITY + 2] = s[TARGET_VELOCITY + 2]
-    s[POSITION + 2] = s[TARGET + 2]
+    _rise(s, h)
 
 
 @kernel
-def _velocity_error(s: FloatArray, axis: int) -> float:
-    """Return the velocity wanted less the one flown."""
+def _rise(s: FloatArray, h: float) -> None:
+    """Move the vehicle vertically: P on the height, P on the rate, PI on the acceleration, which makes the lift."""
+    if s[ALTITUDE_GAIN] == 0.0:
+        s[VELOCITY + 2] = s[TARGET_VELOCITY + 2]
+        s[POSITION + 2] = s[TARGET + 2]
+        return
+    rate = s[TARGET_VELOCITY + 2] + s[ALTITUDE_GAIN] * (s[TARGET + 2] - s[POSITION + 2])
+    wish = s[TARGET_ACCELERATION + 2] + s[RISE_GAIN] * (rate - s[VELOCITY + 2])
+    # the lift answers at once to LIFT_GAIN times what the acceleration lacks, and the rest is integrated
+    flown = s[LIFT_GAIN] * wish + s[INTEGRAL + 2] - s[DRAG_VERTICAL] * s[VELOCITY + 2]
+    flown /= 1.0 + s[LIFT_GAIN]
+    s[INTEGRAL + 2] += s[LIFT_INTEGRAL_GAIN] * (wish - flown) * h
+    before = s[VELOCITY + 2]
+    s[VELOCITY + 2] += flown * h
+    s[POSITION + 2] += 0.5 * (before + s[VELOCITY + 2]) * h
+
+
+@kernel
+def _share(h: float, time_s: float) -> float:
+    """Return how much of its way a first-order lag goes in a step."""
+    return h / (h + time_s)
+
+
+@kernel
+def _wish(s: FloatArray, axis: int, h: float) -> float:
+    """Return the acceleration that the controller asks for, having filtered the error of the velocity."""
     lag = s[TARGET + axis] - s[POSITION + axis]
-    return s[TARGET_VELOCITY + axis] + s[POSITION_GAIN] * lag - s[VELOCITY + axis]
-
-
-@kernel
-def _wish(s: FloatArray, axis: int) -> float:
-    """Return the acceleration that the controller asks for."""
-    return s[TARGET_ACCELERATION + axis] + s[VELOCITY_GAIN] * _velocity_error(s, axis) + s[INTEGRAL + axis]
+    error = s[TARGET_VELOCITY + axis] + s[POSITION_GAIN] * lag - s[VELOCITY + axis]
+    share = _share(h, s[ERROR_TIME])
+    before = s[ERROR + axis]
+    s[ERROR + axis] += (error - before) * share
+    s[DAMPING + axis] += ((s[ERROR + axis] - before) / h - s[DAMPING + axis]) * share
+    return (
+        s[TARGET_ACCELERATION + axis]
+        + s[VELOCITY_GAIN] * s[ERROR + axis]
+        + s[DAMPING_GAIN] * s[DAMPING + axis]
+        + s[INTEGRAL + axis]
+    )

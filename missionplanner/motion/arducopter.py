@@ -18,8 +18,13 @@ from missionplanner.motion import scurve
 from missionplanner.motion.airframe import follow_target
 from missionplanner.motion.state import (
     ACCELERATION,
+    ALTITUDE_GAIN,
     BRAKED,
+    BY_ALTITUDE,
+    CLIMB,
+    CORNER_ACCELERATION,
     COUNT,
+    DESCENT,
     ELAPSED,
     FLYING,
     HALTED,
@@ -27,7 +32,9 @@ from missionplanner.motion.state import (
     HOLD_LEFT,
     HOLDING,
     IDLE,
+    INTEGRAL,
     JERK,
+    TOUCHDOWN_RATE,
     LEG,
     LEGS,
     LENGTH,
@@ -39,7 +46,9 @@ from missionplanner.motion.state import (
     POSITION_GAIN,
     RADIUS,
     REACHED,
+    RISE_JERK,
     SLOT,
+    TOUCHDOWN_HEIGHT,
     SPEED,
     STALE,
     STARTING,
@@ -51,6 +60,7 @@ from missionplanner.motion.state import (
     UX,
     VELOCITY,
     VERTICAL,
+    VERTICAL_ACCELERATION,
     WAYPOINT,
     FloatArray,
     IntArray,
@@ -60,6 +70,7 @@ from missionplanner.motion.state import (
 _BEFORE, _NOW, _NEXT = np.array([-1, 0, 1])  # roles of the three legs; as in scurve
 _STEP_S = 0.025
 _FAR_S = 1e4  # a leg so long that it reaches any speed
+_STEADY_END = 4  # the segment after the steady acceleration
 _LOOP_S = 0.0025  # the autopilot's main loop, at which it looks whether a corner may begin
 
 
@@ -70,9 +81,13 @@ def step(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -> None:
         k[PHASE] = FLYING
         k[SLOT] = 0
         k[STALE] = -1
+        s[PACE] = 1.0
     steps = round(dt / _STEP_S)
     h = dt / steps
     for _ in range(steps):
+        if k[PHASE] == FLYING and route[k[WAYPOINT], BY_ALTITUDE] > 0.0:
+            _go_vertically(s, k, route, h)
+            continue
         pace = 1.0
         if k[HALTED] != 0 or s[BRAKED] > 0.0:
             w = min(k[WAYPOINT], k[COUNT] - 1)
@@ -131,6 +146,9 @@ def _plan_legs(s: FloatArray, k: IntArray, route: FloatArray) -> None:
         s[NEW_SPEED] = math.nan
     for role in range(k[STALE], 2):
         leg = _leg(s, k, role)
+        if role >= 0 and w + role < k[COUNT] and route[w + role, BY_ALTITUDE] > 0.0:
+            scurve.clear(leg)
+            continue
         speed = route[w, SPEED]
         vertical = route[w, VERTICAL]
         if role == -1:
@@ -138,7 +156,7 @@ def _plan_legs(s: FloatArray, k: IntArray, route: FloatArray) -> None:
             vertical = abs(s[TARGET_VELOCITY + 2])
         elif role == 1 and (w + 1 == k[COUNT] or route[w, HOLD] > 0.0):
             scurve.clear(leg)
-            break
+            continue
         for axis in range(3):
             if role == -1:
                 leg[UX + axis] = s[TARGET_VELOCITY + axis] * _FAR_S
@@ -176,6 +194,8 @@ def _advance(s: FloatArray, k: IntArray, route: FloatArray, duration_s: float, s
                 k[PHASE] = IDLE
             k[STALE] = 0
             continue
+        if route[k[WAYPOINT], BY_ALTITUDE] > 0.0:
+            break
         this = _leg(s, k, _NOW)
         following = _leg(s, k, _NEXT)
         end_s = scurve.begins(this, scurve.END)
@@ -183,10 +203,7 @@ def _advance(s: FloatArray, k: IntArray, route: FloatArray, duration_s: float, s
         if turning:  # the waypoint counts as reached half way through the turn
             event_s = 0.5 * (end_s - this[TIME] - following[TIME])
         elif following[LENGTH] > 0.0:
-            window_s = max(scurve.begins(this, scurve.BRAKE), end_s - scurve.begins(following, scurve.CHANGE))
-            event_s = window_s - this[TIME]
-            if event_s <= 0.0:
-                event_s = min(_LOOP_S, end_s - this[TIME])
+            event_s = _corner_after(s, this, following, left_s)
         else:
             event_s = end_s - this[TIME]
         event_s = max(event_s, 0.0)
@@ -201,7 +218,7 @@ def _advance(s: FloatArray, k: IntArray, route: FloatArray, duration_s: float, s
             return
         if turning or this[TIME] >= end_s - 1e-9:
             _pass_waypoint(s, k, route)
-        elif following[LENGTH] > 0.0 and _corner_fits(s, this, following):
+        elif following[LENGTH] > 0.0:
             following[TIME] = 1e-12  # it runs from here on
         if left_s <= 0.0:
             return
@@ -210,10 +227,38 @@ def _advance(s: FloatArray, k: IntArray, route: FloatArray, duration_s: float, s
 
 
 @kernel
-def _corner_fits(s: FloatArray, this: FloatArray, following: FloatArray) -> bool:
-    """Whether starting the next leg now keeps the middle of the turn within radius, speed and acceleration."""
-    half_s = 0.5 * (scurve.begins(this, scurve.END) - this[TIME])
-    a, v, p = scurve.along(this, this[TIME] + half_s)
+def _corner_after(s: FloatArray, this: FloatArray, following: FloatArray, within_s: float) -> float:
+    """Return after how long the next leg begins, or the present one ends; more than ``within_s`` if later than that."""
+    now = this[TIME]
+    end_s = scurve.begins(this, scurve.END)
+    first_s = max(
+        scurve.begins(this, scurve.BRAKE) - scurve.begins(following, _STEADY_END),
+        end_s - 0.5 * scurve.begins(following, scurve.END),
+        now,
+    )
+    last_s = min(now + within_s, end_s)
+    if first_s < last_s and _corner_fits(s, this, following, last_s):
+        low, high = 0, math.ceil((last_s - first_s) / _LOOP_S)
+        while low < high:  # the first of the main loop's turns at which it fits
+            middle = (low + high) // 2
+            if _corner_fits(s, this, following, min(first_s + middle * _LOOP_S, last_s)):
+                high = middle
+            else:
+                low = middle + 1
+        return min(first_s + high * _LOOP_S, last_s) - now
+    return end_s - now
+
+
+@kernel
+def _corner_fits(s: FloatArray, this: FloatArray, following: FloatArray, t: float) -> bool:
+    """Whether starting the next leg when this one is ``t`` old keeps the turn within radius, speed and acceleration.
+
+    Judged in its middle, and no earlier than half way along the leg.
+    """
+    if scurve.along(this, t)[2] < 0.5 * this[LENGTH]:
+        return False
+    half_s = 0.5 * (scurve.begins(this, scurve.END) - t)
+    a, v, p = scurve.along(this, t + half_s)
     next_a, next_v, next_p = scurve.along(following, half_s)
     p -= this[LENGTH]
     miss2 = 0.0
@@ -228,7 +273,7 @@ def _corner_fits(s: FloatArray, this: FloatArray, following: FloatArray) -> bool
     return (
         miss2 < s[RADIUS] ** 2
         and speed2 < min(this[TOP], following[TOP]) ** 2
-        and acceleration2 < (2.0 * s[ACCELERATION]) ** 2
+        and acceleration2 < s[CORNER_ACCELERATION] ** 2
     )
 
 
@@ -250,6 +295,62 @@ def _pass_waypoint(s: FloatArray, k: IntArray, route: FloatArray) -> None:
         k[PHASE] = IDLE
     elif route[w + 1, SPEED] != route[w, SPEED] or route[w + 1, VERTICAL] != route[w, VERTICAL]:
         s[NEW_SPEED] = route[w + 1, SPEED]
+
+
+@kernel
+def _go_vertically(s: FloatArray, k: IntArray, route: FloatArray, h: float) -> None:
+    """Take off or land: straight up or down from where the target comes to rest, by the shaped rate of climb.
+
+    A take-off is over when the target has slowed down to a tenth of the climb rate, the target then being its end; a
+    landing, when the vehicle meets the ground.
+    """
+    if k[STALE] < 2:
+        _plan_legs(s, k, route)
+    w = k[WAYPOINT]
+    rising = route[w, 2] > s[ORIGIN + 2]
+    z, rate, acceleration = s[TARGET + 2], s[TARGET_VELOCITY + 2], s[TARGET_ACCELERATION + 2]
+    limit = s[VERTICAL_ACCELERATION]
+    error = route[w, 2] - z
+    if k[HALTED] != 0:
+        wanted = 0.0
+    elif rising:
+        wanted = min(_approach(error, 0.5 * s[RISE_JERK] / limit, 0.5 * limit), s[CLIMB], route[w, VERTICAL])
+    else:
+        low = _approach(error + s[TOUCHDOWN_HEIGHT], s[ALTITUDE_GAIN], limit)
+        wanted = min(max(low, -s[DESCENT], -route[w, VERTICAL]), -s[TOUCHDOWN_RATE])
+    wanted = _approach(wanted - rate, s[RISE_JERK] / limit, s[RISE_JERK])
+    wanted = min(max(wanted, -limit), limit)
+    before = acceleration
+    acceleration += min(max(wanted - acceleration, -s[RISE_JERK] * h), s[RISE_JERK] * h)
+    z += (rate + 0.5 * before * h) * h
+    rate += before * h
+    s[ELAPSED] += h
+    _leg(s, k, _BEFORE)[TIME] += h
+    _write_target(s, k, 1.0)
+    s[TARGET + 2], s[TARGET_VELOCITY + 2], s[TARGET_ACCELERATION + 2] = z, rate, acceleration
+    follow_target(s, h)
+    if rising:
+        if rate >= 0.1 * s[CLIMB] or z - s[ORIGIN + 2] < 0.9 * (route[w, 2] - s[ORIGIN + 2]):
+            return
+    elif s[POSITION + 2] > route[w, 2]:
+        return
+    else:
+        s[POSITION + 2] = route[w, 2]
+        s[VELOCITY + 2] = 0.0
+        s[INTEGRAL + 2] = 0.0
+    s[PACE] = 1.0
+    _pass_waypoint(s, k, route)
+    _plan_legs(s, k, route)
+    _write_target(s, k, 1.0)
+
+
+@kernel
+def _approach(error: float, gain: float, acceleration: float) -> float:
+    """Return the speed at which to close an error: in proportion to it, and no more than can be braked in time."""
+    linear = acceleration / (gain * gain)
+    if abs(error) <= linear:
+        return gain * error
+    return math.copysign(math.sqrt(2.0 * acceleration * (abs(error) - 0.5 * linear)), error)
 
 
 @kernel

@@ -11,11 +11,13 @@ import numpy.typing as npt
 from missionplanner.geodesy import FloatArray
 from missionplanner.vehicle import MotionModel
 
-_ARDUCOPTER_SPOOL_S = 0.2  # from the command to the first movement, what a smoother start than measured leaves of it
-_PX4_SPOOL_S = 3.7
-_PX4_DISARM_S = 2.5  # from touch-down to motors off
-_SLOW_BELOW_M = 10.0  # LAND_ALT_LOW, MPC_LAND_ALT1: the descent slows down this high above the ground
-_PX4_RTL_SPEED_M_S = 10.0
+_ARDUCOPTER_SPOOL_S = 0.8  # from the command to the lift-off: MOT_SPOOL_TIME, TKOFF_SLEW_TIME
+_NO_CLIMB_M = 0.1
+_LANDING_RAMPS_S = 4.0  # what gaining and losing speed takes
+_STOP_S = 1e-3  # a hold so short that it only makes the vehicle stop
+_ARDUCOPTER_DISARM_S = 2.1  # from touch-down to motors off
+_PX4_SPOOL_S = 1.2  # COM_SPOOLUP_TIME, and the command on its way
+_PX4_DISARM_S = 5.0  # from touch-down to motors off: three times LNDMC_TRIG_TIME, COM_DISARM_LAND
 
 
 class Route(NamedTuple):
@@ -62,10 +64,8 @@ def takeoff_points(model: MotionModel, home_m: npt.ArrayLike, top_m: npt.ArrayLi
     top = np.asarray(top_m, dtype=float)
     if model.vehicle_class == "plane":
         return Route.through([top], model.cruise_speed_m_s, by_altitude=1.0)
-    if model.autopilot == "ardupilot":
-        return Route.through([home, top], model.climb_rate_m_s, [_ARDUCOPTER_SPOOL_S, 0.0])
-    knee = np.array([home[0], home[1], min(home[2] + _SLOW_BELOW_M, top[2])])  # MPC_TKO_SPEED up to here
-    return Route.through([home, knee, top], model.climb_rate_m_s, [_PX4_SPOOL_S, 0.0, 0.0], [math.inf, 1.5, math.inf])
+    spool_s = _ARDUCOPTER_SPOOL_S if model.autopilot == "ardupilot" else _PX4_SPOOL_S
+    return Route.through([home, top], model.climb_rate_m_s, [spool_s, 0.0], by_altitude=[0.0, 1.0])
 
 
 def landing_points(model: MotionModel, from_m: npt.ArrayLike, ground_amsl_m: float, speed_m_s: float = 15.0) -> Route:
@@ -76,17 +76,18 @@ def landing_points(model: MotionModel, from_m: npt.ArrayLike, ground_amsl_m: flo
     start = np.asarray(from_m, dtype=float)
     if model.vehicle_class == "plane":
         return Route.through([[start[0], start[1], ground_amsl_m]], speed_m_s, by_altitude=1.0)
-    slow = (
-        [(_SLOW_BELOW_M, math.inf), (0.0, 0.5)]  # LAND_SPEED
-        if model.autopilot == "ardupilot"
-        else [(_SLOW_BELOW_M, math.inf), (5.0, 1.0), (0.0, 0.55)]  # MPC_LAND_SPEED, blended in below MPC_LAND_ALT1
-    )
-    legs = [(height, rate) for height, rate in slow if ground_amsl_m + height < start[2] or height == 0.0]
-    points = np.array([[start[0], start[1], ground_amsl_m + height] for height, _ in legs])
-    # ArduCopter slows down nearly to a stop before its slow descent; these ramps are as long as its wait on the ground
-    hold_s = np.full(len(legs), 0.05 if model.autopilot == "ardupilot" else 0.0)
-    hold_s[-1] = 0.0 if model.autopilot == "ardupilot" else _PX4_DISARM_S
-    return Route.through(points, model.descent_rate_m_s, hold_s, [rate for _, rate in legs])
+    disarm_s = _ARDUCOPTER_DISARM_S if model.autopilot == "ardupilot" else _PX4_DISARM_S
+    ground = [[start[0], start[1], ground_amsl_m]]
+    return Route.through(ground, model.descent_rate_m_s, disarm_s, by_altitude=1.0)
+
+
+def landing_s(model: MotionModel, height_m: float) -> float:
+    """Return an upper bound on the time in which a copter comes down from a height over the ground."""
+    slow_m, slow_m_s = model.arducopter.land_slow_below_m, model.arducopter.land_speed_m_s
+    if model.autopilot == "px4":
+        slow_m, slow_m_s = model.px4.slow_below_m, model.px4.land_speed_m_s
+    slow_m = min(slow_m, height_m)
+    return (height_m - slow_m) / model.descent_rate_m_s + slow_m / slow_m_s + _LANDING_RAMPS_S
 
 
 def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLike) -> Route:
@@ -101,8 +102,17 @@ def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLi
     if model.vehicle_class == "plane":
         return Route.through([above], model.cruise_speed_m_s)
     ardupilot = model.autopilot == "ardupilot"
-    speed_m_s = model.arducopter.homing_m_s if ardupilot else _PX4_RTL_SPEED_M_S
+    speed_m_s = model.arducopter.homing_m_s if ardupilot else model.px4.return_speed_m_s
     wait_s = model.arducopter.return_wait_s if ardupilot else 0.0  # RTL_LAND_DELAY
-    way = Route.through(np.array([[start[0], start[1], height], above]), speed_m_s, [0.0, wait_s])
-    down = landing_points(model, above, float(home[2]))
-    return Route(*(np.concatenate(pair) for pair in zip(way, down, strict=True)))
+    top = np.array([start[0], start[1], height])
+    stop_s = 0.0
+    if ardupilot and height < start[2] + _NO_CLIMB_M:
+        top = above  # no climb
+    elif ardupilot:
+        stop_s = _STOP_S  # it flies the climb and the way home as legs of their own
+    way = Route.through(np.array([top, above]), speed_m_s, [stop_s, wait_s])
+    legs = [way, landing_points(model, above, float(home[2]))]
+    lower = np.array([home[0], home[1], home[2] + model.px4.return_descend_m])
+    if not ardupilot and lower[2] < height:
+        legs.insert(1, Route.through([lower], speed_m_s))
+    return Route(*(np.concatenate(column) for column in zip(*legs, strict=True)))

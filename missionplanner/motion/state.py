@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from missionplanner.vehicle import MotionModel
+from missionplanner.vehicle import ArducopterTuning, MotionModel, Px4Tuning
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -33,7 +33,7 @@ def kernel(function: _Function) -> _Function:
 
 
 # Integer columns.
-NAVIGATOR, PHASE, WAYPOINT, COUNT, HALTED, SLOT, STALE, INTEGERS = range(8)
+NAVIGATOR, PHASE, WAYPOINT, COUNT, HALTED, SLOT, STALE, TRACK, INTEGERS = range(9)
 ARDUCOPTER, PX4, PLANE = range(3)  # navigators
 IDLE, STARTING, FLYING, HOLDING = range(4)  # phases
 
@@ -50,8 +50,14 @@ ACCELERATION, JERK, SNAP, VERTICAL_ACCELERATION, CLIMB, DESCENT, RADIUS, TURN_RA
 POSITION_GAIN, VELOCITY_GAIN, INTEGRAL_GAIN, LEAN, DRAG, DRAG_SQUARED, LOITER_RADIUS = range(37, 44)
 NEW_SPEED = 44  # told by set_speed and not yet taken up; else NaN
 WIND = 45  # two: velocity of the air, east and north
-# ... then ArduCopter's three S-curve legs (flown before, now, next), LEG columns each.
-LEGS = 47
+# ... then what a copter's controllers remember (two each, east and north) and their gains and lags (see airframe) ...
+ERROR, DAMPING, LEAN_TARGET = 47, 49, 51
+DAMPING_GAIN, ERROR_TIME, LEAN_TIME, RATE_TIME = range(53, 57)
+ALTITUDE_GAIN, RISE_GAIN, LIFT_GAIN, LIFT_INTEGRAL_GAIN, DRAG_VERTICAL = range(57, 62)
+RISE_JERK, TOUCHDOWN_RATE, TOUCHDOWN_HEIGHT = range(62, 65)  # how ArduCopter takes off and lands
+CORNER_ACCELERATION, RUN = 65, 66  # of ArduCopter; its target's speed along a spline
+# ... then ArduCopter's three legs (flown before, now, next; S-curves or splines), LEG columns each.
+LEGS = 67
 
 # Columns of a leg: unit vector, length, time flown, greatest speed and acceleration along it; then its segments.
 UX, LENGTH, TIME, TOP, ACC, SEGMENT_0 = 0, 3, 4, 5, 6, 7
@@ -60,6 +66,16 @@ DURATION, H, S, T, A, V, P, SEGMENT = range(8)
 SEGMENTS = 22
 LEG = SEGMENT_0 + (SEGMENTS + 1) * SEGMENT
 FLOATS = LEGS + 3 * LEG
+
+# Columns of PX4 multicopters, where ArduCopter has its legs. Points before, at and after the one it aims at, the
+# velocity it wants, the acceleration it feels (three each); the rotors' pull beyond the weight, ...
+BEFORE, AIM, AFTER, WANTED, FELT = (LEGS + 3 * i for i in range(5))
+LIFT, HOVER, RAMP, GROUND = range(LEGS + 15, LEGS + 19)
+# ... then its limits.
+CORNER_GAIN, LAG_MAX, ALTITUDE_RADIUS, SPEED_MAX, CLIMB_ACCELERATION, DESCENT_ACCELERATION = range(LEGS + 19, LEGS + 25)
+TAKEOFF_SPEED, TAKEOFF_RAMP, LAND_SPEED, CRAWL, SLOW_BELOW, LAND_BELOW, CRAWL_BELOW = range(LEGS + 25, LEGS + 32)
+DERIVATIVE_GAIN, VERTICAL_POSITION_GAIN, VERTICAL_VELOCITY_GAIN, VERTICAL_INTEGRAL_GAIN = range(LEGS + 32, LEGS + 36)
+LIFT_MAX, HOVER_GAIN = LEGS + 36, LEGS + 37
 
 _GRAVITY_M_S2 = 9.80665
 
@@ -89,18 +105,49 @@ def initial(model: MotionModel, position_m: npt.ArrayLike) -> tuple[FloatArray, 
         row[VERTICAL_ACCELERATION] = 3.0  # TECS_VERT_ACC is 7; kept gentle as pitch limits do
     elif model.autopilot == "ardupilot":
         number[NAVIGATOR] = ARDUCOPTER
-        row[VERTICAL_ACCELERATION] = 1.0  # WPNAV_ACCEL_Z
-        row[SNAP] = 0.25 * math.pi * model.jerk_m_s3 / 0.15  # half of what ATC_INPUT_TC allows
-        row[POSITION_GAIN], row[VELOCITY_GAIN], row[INTEGRAL_GAIN] = 1.0, 2.0, 1.0  # PSC_POSXY_P, PSC_VELXY_P, _I
-        row[LEAN] = _GRAVITY_M_S2 * math.tan(math.radians(30.0))  # ANGLE_MAX
-        row[DRAG], row[DRAG_SQUARED] = 0.31, 0.023  # 10.35 m/s at 30 deg, 15 m/s at 45 deg (measured)
+        _tune_arducopter(row, model.arducopter)
     else:
         number[NAVIGATOR] = PX4
-        row[VERTICAL_ACCELERATION] = 3.0  # MPC_ACC_DOWN_MAX
-        row[POSITION_GAIN], row[VELOCITY_GAIN], row[INTEGRAL_GAIN] = 0.95, 1.8, 0.4  # MPC_XY_P, MPC_XY_VEL_*_ACC
-        row[LEAN] = _GRAVITY_M_S2 * math.tan(math.radians(45.0))  # MPC_TILTMAX_AIR
-        row[DRAG] = 1.0  # SIH_KDV / SIH_MASS
+        _tune(row, model.px4)
     if model.vehicle_class == "copter":  # it leans into the wind as soon as it has lifted off
         trim = -(row[DRAG] + row[DRAG_SQUARED] * math.hypot(*model.wind_m_s)) * row[WIND : WIND + 2]
-        row[THRUST : THRUST + 2] = row[INTEGRAL : INTEGRAL + 2] = trim
+        row[LEAN_TARGET : LEAN_TARGET + 2] = row[THRUST : THRUST + 2] = row[INTEGRAL : INTEGRAL + 2] = trim
     return row, number
+
+
+def _tune_arducopter(row: FloatArray, tuning: ArducopterTuning) -> None:
+    """Write an ArduCopter's parameters."""
+    row[VERTICAL_ACCELERATION] = tuning.vertical_acceleration_m_s2
+    row[CORNER_ACCELERATION] = tuning.corner_acceleration_m_s2 or 2.0 * row[ACCELERATION]
+    row[SNAP] = 0.25 * math.pi * row[JERK] / max(tuning.input_time_s, 0.1)  # half of what the attitude allows
+    row[POSITION_GAIN] = tuning.position_gain
+    row[VELOCITY_GAIN], row[INTEGRAL_GAIN], row[DAMPING_GAIN] = tuning.velocity_gains
+    row[ERROR_TIME] = 1.0 / (2.0 * math.pi * 5.0)  # PSC_VELXY_FLTE, _FLTD
+    row[LEAN] = _GRAVITY_M_S2 * math.tan(math.radians(tuning.lean_max_deg))
+    row[LEAN_TIME], row[RATE_TIME] = tuning.input_time_s, 0.08  # what the rate controller and the rotors add
+    row[DRAG], row[DRAG_SQUARED] = 0.41, 0.0132  # 10.35 m/s at 30 deg (measured)
+    row[ALTITUDE_GAIN], row[RISE_GAIN] = 1.0, 5.0  # PSC_POSZ_P, PSC_VELZ_P
+    throttle = _GRAVITY_M_S2 / 0.39  # acceleration per throttle: MOT_THST_HOVER
+    row[LIFT_GAIN], row[LIFT_INTEGRAL_GAIN] = 0.05 * throttle, 0.1 * throttle  # PSC_ACCZ_P, _I
+    row[DRAG_VERTICAL] = 0.5
+    row[RISE_JERK] = 5.0  # PSC_JERK_Z
+    row[TOUCHDOWN_RATE], row[TOUCHDOWN_HEIGHT] = tuning.land_speed_m_s, tuning.land_slow_below_m
+
+
+def _tune(row: FloatArray, px4: Px4Tuning) -> None:
+    """Write a PX4 multicopter's parameters."""
+    row[CORNER_GAIN], row[LAG_MAX], row[ALTITUDE_RADIUS] = px4.corner_gain, px4.lag_max_m, px4.altitude_radius_m
+    row[SPEED_MAX] = px4.speed_max_m_s
+    row[CLIMB_ACCELERATION] = px4.climb_acceleration_m_s2
+    row[DESCENT_ACCELERATION] = px4.descent_acceleration_m_s2
+    row[TAKEOFF_SPEED], row[TAKEOFF_RAMP] = px4.takeoff_speed_m_s, px4.takeoff_ramp_s
+    row[LAND_SPEED], row[CRAWL] = px4.land_speed_m_s, px4.land_crawl_m_s
+    row[SLOW_BELOW], row[LAND_BELOW], row[CRAWL_BELOW] = px4.slow_below_m, px4.land_below_m, px4.crawl_below_m
+    row[POSITION_GAIN], row[VERTICAL_POSITION_GAIN] = px4.position_gain, px4.vertical_position_gain
+    row[VELOCITY_GAIN], row[INTEGRAL_GAIN], row[DERIVATIVE_GAIN] = px4.velocity_gains
+    row[VERTICAL_VELOCITY_GAIN], row[VERTICAL_INTEGRAL_GAIN] = px4.vertical_velocity_gains
+    row[LEAN] = _GRAVITY_M_S2 * math.tan(math.radians(px4.tilt_max_deg))
+    row[LIFT_MAX] = _GRAVITY_M_S2 * px4.thrust_max
+    row[DRAG] = px4.drag_s
+    row[HOVER], row[HOVER_GAIN] = 1.0, 0.07
+    row[GROUND], row[RAMP] = -math.inf, math.inf

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from missionplanner.motion import TICK_S, Navigator, Route, landing_points, predict, return_points, takeoff_points
-from missionplanner.vehicle import MotionModel
+from missionplanner.vehicle import ArducopterTuning, MotionModel
 
 COPTER = MotionModel("ardupilot", "copter", 2.5, 1.0, 2.5, 1.5, 2.0, 0.0)
 PX4 = MotionModel("px4", "copter", 3.0, 4.0, 3.0, 1.5, 2.0, 0.0, return_height_m=60.0)
@@ -97,9 +97,14 @@ def test_landing_takes_as_long_as_measured(model: MotionModel, measured_s: float
     assert flight.position_m[-1] == pytest.approx([5, 5, 100], abs=0.2)
 
 
-def test_landing_from_below_the_slow_height_has_one_leg() -> None:
-    assert len(landing_points(COPTER, [0, 0, 107], 100.0).points_m) == 1
-    assert len(landing_points(COPTER, [0, 0, 120], 100.0).points_m) == 2
+def test_arducopter_lands_slowly_below_its_slow_height() -> None:
+    for height_m, slow_m in ((7.0, 10.0), (20.0, 10.0), (40.0, 25.0)):
+        tuned = replace(COPTER, arducopter=ArducopterTuning(land_slow_below_m=slow_m))
+        flight, reached_s = predict(tuned, [0, 0, height_m], *landing_points(tuned, [0, 0, height_m], 0.0))
+        rate = -np.gradient(flight.position_m[:, 2], flight.t_s)
+        slow = (flight.position_m[:, 2] < slow_m - 1.0) & (flight.t_s < reached_s[0] - 0.2) & (flight.t_s > 2.0)
+        assert rate[slow] == pytest.approx(0.5, abs=0.12)
+        assert flight.t_s[-1] - reached_s[0] == pytest.approx(2.1, abs=0.1)
 
 
 @pytest.mark.parametrize("model", COPTERS)
