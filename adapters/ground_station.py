@@ -309,6 +309,7 @@ class Station(Generic[AnyPeer]):
                 tell(read.read, read.total)
             yield
         peer.parameter = None
+        tell(len(read.held), len(read.held))
         return read.held
 
     def setting(self, peer: Peer, autopilot: Autopilot, held: ParameterValue, value: float) -> Steps:

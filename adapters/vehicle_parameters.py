@@ -10,8 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
-
 from adapters.endpoint import Endpoint
 from adapters.ground_station import AnyPeer, Clock, Peer, Station, Steps, TransferProgress, Waiting
 from adapters.mission_protocol import Party
@@ -32,8 +30,6 @@ from missionplanner.autopilot_parameters import (
 from missionplanner.errors import LinkError
 from missionplanner.mission import Mission
 from missionplanner.vehicle import Autopilot, MotionModel, VehicleClass, motion_model
-
-_NO_AUTOPILOT = int(mavlink.MAV_AUTOPILOT_INVALID)  # a ground station, a camera
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,11 +161,7 @@ def read_parameters(
             values = yield from reading_motion(station, peer, autopilot, vehicle_class)
         found[peer.party.sysid] = HeldParameters(peer.party.sysid, autopilot, vehicle_class, values)
 
-    if wanted is None:
-        wanted = [k for k, p in station.peers.items() if p.heartbeat and p.heartbeat.autopilot != _NO_AUTOPILOT]
-        if not wanted:
-            raise LinkError(f"{station.link.urls}: expected a vehicle, heard only ground stations")
-    peers = {k: station.peers[k] for k in wanted}
+    peers = {k: p for k, p in station.peers.items() if p.heartbeat is not None and (wanted is None or k in wanted)}
     station.together({k: reading(peer) for k, peer in peers.items()})
     return dict(sorted(found.items()))
 

@@ -1,0 +1,132 @@
+"""Simulated vehicles hold the parameters of their motion, and fly by what they are set to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.endpoint import in_process_pair
+from adapters.mission_items import MissionItem
+from missionplanner.autopilot_parameters import Kind, Parameter, held, parameters, value_of, with_values
+from missionplanner.geodesy import FloatArray
+from missionplanner.motion import TICK_S
+from sim.fleet import SimFleet, SimVehicle, sim_vehicles
+from tests.simulated import HOME, LAT, LON, Ground, mission, of_type, renumbered
+
+KINDS: list[Kind] = [("ardupilot", "copter"), ("ardupilot", "plane"), ("px4", "copter"), ("px4", "plane")]
+EACH = pytest.mark.parametrize("kind", KINDS)
+# no simulated flight shows these: what may be commanded, and what a plan never asks for
+_UNSEEN = {"airspeed_limits_m_s.0", "airspeed_limits_m_s.1", "arducopter.return_final_height_m"}
+
+
+def other_value(parameter: Parameter) -> float:
+    """Return another value within the range that single precision keeps."""
+    if parameter.field == "arducopter.return_speed_m_s":
+        return 4.0
+    value = 0.75 * parameter.default if parameter.low <= 0.75 * parameter.default else 1.5 * parameter.default
+    spelling = parameter.spellings[0]
+    return round(value * spelling.per_unit) / spelling.per_unit if spelling.whole else float(np.float32(value))
+
+
+def returning(kind: Kind) -> list[MissionItem]:
+    """Return a mission without a speed of its own: up, two sharp corners, home."""
+    amsl, relative = mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT
+    far, top_m = (20, 950.0) if kind[1] == "plane" else (1, 629.0)
+    home = [MissionItem(0, 0, mavlink.MAV_CMD_NAV_WAYPOINT, x=LAT, y=LON, z=584.0)] if kind[0] == "ardupilot" else []
+    ends = [(5_400 * far, 0, 604.0), (5_400 * far, 6_500 * far, top_m), (0, 6_500 * far, 604.0)]
+    return renumbered(
+        [
+            *home,
+            MissionItem(0, relative, mavlink.MAV_CMD_NAV_TAKEOFF, x=LAT + 4_000, y=LON, z=20.0),
+            *(MissionItem(0, amsl, mavlink.MAV_CMD_NAV_WAYPOINT, x=LAT + x, y=LON + y, z=z) for x, y, z in ends),
+            MissionItem(0, mavlink.MAV_FRAME_MISSION, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH),
+        ]
+    )
+
+
+def flown(vehicle: SimVehicle, sets: dict[str, float], duration_s: float) -> FloatArray:
+    """Return the positions of a vehicle that is set these parameters on the ground and then sent on its mission."""
+    ground = Ground(vehicle.autopilot, vehicle.vehicle_class)
+    ground.fleet = SimFleet([vehicle], seed=3)
+    theirs, ground._pipe = in_process_pair()
+    ground.fleet.attach(theirs)
+    ground.vehicle = ground.fleet.links[0]
+    ground.autopilot = ground.vehicle.autopilot
+    for name, value in sets.items():
+        kind = mavlink.MAV_PARAM_TYPE_INT32 if isinstance(value, int) else mavlink.MAV_PARAM_TYPE_REAL32
+        [answer] = ground.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, kind))
+        assert answer.param_value == value
+    assert ground.upload(returning((vehicle.autopilot, vehicle.vehicle_class))) == mavlink.MAV_MISSION_ACCEPTED
+    if vehicle.autopilot == "ardupilot":
+        ground.mode("GUIDED" if vehicle.vehicle_class == "copter" else "FBWA")
+        assert ground.arm() == mavlink.MAV_RESULT_ACCEPTED
+    assert ground.start() == mavlink.MAV_RESULT_ACCEPTED
+    track = []
+    for _ in range(round(duration_s / TICK_S)):
+        ground.fleet.step()
+        track.append(ground.autopilot.position_m)
+    return np.array(track)
+
+
+@EACH
+def test_what_is_set_flies_like_what_was_built_in(kind: Kind) -> None:
+    autopilot, vehicle_class = kind
+    [vehicle] = sim_vehicles(1, HOME, autopilot=autopilot, vehicle_class=vehicle_class)
+    duration_s = 240.0 if vehicle_class == "plane" else 120.0
+    usual = flown(vehicle, {}, duration_s)
+    for parameter in parameters(kind):
+        if parameter.sent or parameter.field in _UNSEEN:
+            continue
+        model = with_values(vehicle.motion, {parameter.field: other_value(parameter)})
+        name, value = next(item for item in held(kind, model).items() if item[0] == parameter.name)
+        assert value != held(kind, vehicle.motion)[name]
+        set_so = flown(vehicle, {name: value}, duration_s)
+        built_so = flown(replace(vehicle, motion=model), {}, duration_s)
+        np.testing.assert_allclose(set_so, built_so, atol=1e-6, err_msg=name)
+        assert np.abs(set_so - usual).max() > 0.02, f"{name} changes nothing"
+
+
+@EACH
+def test_a_vehicle_holds_what_its_model_says(kind: Kind) -> None:
+    autopilot, vehicle_class = kind
+    [vehicle] = sim_vehicles(1, HOME, autopilot=autopilot, vehicle_class=vehicle_class)
+    holds = SimFleet([vehicle]).links[0].autopilot.parameters
+    for parameter in parameters(kind):
+        spelling = parameter.spellings[0]
+        if not parameter.sent:
+            planned = value_of(vehicle.motion, parameter.field) * spelling.per_unit
+            assert holds[parameter.name] == pytest.approx(planned, rel=1e-7)
+        assert isinstance(holds[parameter.name], int) == spelling.whole or parameter.sent
+
+
+def test_a_parameter_set_in_flight_counts_from_the_next_route_on() -> None:
+    ground = Ground("ardupilot")
+    ground.upload(mission("ardupilot", speed_m_s=8.0))
+    ground.mode("GUIDED")
+    ground.arm()
+    ground.start()
+    ground.run(25.0)
+    name = b"WPNAV_SPEED"
+    ground.send(mavlink.MAVLink_param_set_message(1, 1, name, 400.0, mavlink.MAV_PARAM_TYPE_REAL32))
+    before = ground.run(3.0)
+    ground.mode("RTL")
+    after = ground.run(25.0)
+
+    def fastest(messages: list[object]) -> float:
+        positions = of_type(messages, "GLOBAL_POSITION_INT")
+        return max(float(np.hypot(m.vx, m.vy)) / 100.0 for m in positions)
+
+    assert fastest(before) > 6.0
+    assert 3.5 < fastest(after[len(after) // 2 :]) < 4.5
+
+
+def test_values_that_no_vehicle_could_fly_by_are_held_and_change_nothing() -> None:
+    ground = Ground("ardupilot")
+    before = ground.autopilot._by_parameters()
+    real = mavlink.MAV_PARAM_TYPE_REAL32
+    [answer] = ground.send(mavlink.MAVLink_param_set_message(1, 1, b"WPNAV_RADIUS", -3.0, real))
+    assert answer.param_value == -3.0
+    assert ground.autopilot._by_parameters() == before
