@@ -107,16 +107,19 @@ class PaceKeeper:
 
     def _commanding(self, trim: Trim) -> Steps:
         peer = self._peers[trim.vehicle]
-        speed_type = mavlink.SPEED_TYPE_AIRSPEED if peer.vehicle_class == "plane" else mavlink.SPEED_TYPE_GROUNDSPEED
+        plane = peer.vehicle_class == "plane"
+        command: tuple[float, ...] = (
+            mavlink.MAV_CMD_DO_CHANGE_SPEED,
+            mavlink.SPEED_TYPE_AIRSPEED if plane else mavlink.SPEED_TYPE_GROUNDSPEED,
+            trim.to_m_s,
+            _THROTTLE_UNCHANGED,
+        )
+        goes_on = trim.from_m_s == 0.0
+        if goes_on or trim.to_m_s == 0.0:
+            command = (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, float(goes_on))
+        number, *params = command
         try:
-            result = yield from self._station.commanding(
-                peer,
-                mavlink.MAV_CMD_DO_CHANGE_SPEED,
-                float(speed_type),
-                trim.to_m_s,
-                _THROTTLE_UNCHANGED,
-                patience_s=_PATIENCE_S,
-            )
+            result = yield from self._station.commanding(peer, int(number), *map(float, params), patience_s=_PATIENCE_S)
         except LinkError:
             peer.command = None
             result = None
@@ -125,13 +128,20 @@ class PaceKeeper:
         t_s = now_s if sighting is None else sighting.t_s
         obeyed = result == mavlink.MAV_RESULT_ACCEPTED
         self.corrections.append(Correction(trim.name, t_s, trim.from_m_s, trim.to_m_s, trim.why, obeyed))
-        order = f"{trim.name}: {trim.from_m_s:.2f} to {trim.to_m_s:.2f} m/s at {t_s:.0f} s, {trim.why}"
+        what = f"{trim.from_m_s:.2f} to {trim.to_m_s:.2f} m/s"
+        if trim.to_m_s == 0.0:
+            what = f"stops for about {trim.stop_s:.0f} s"
+        elif goes_on:
+            what = f"goes on at {trim.to_m_s:.2f} m/s"
+        order = f"{trim.name}: {what} at {t_s:.0f} s, {trim.why}"
         if obeyed:
             self._pacer.obeyed(trim, t_s)
             self._say(order, now_s)
             return
         answer = "it did not answer" if result is None else f"it refused (MAV_RESULT {result})"
         alone = "; it is left at its speed from now on" if self._pacer.refused(trim, t_s) else ""
+        if goes_on:
+            alone = "; it stands, and is asked again: be ready to take over"
         self._say(f"{order}: {answer}{alone}", now_s)
 
     def _say(self, text: str, now_s: float) -> None:

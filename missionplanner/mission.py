@@ -439,10 +439,11 @@ class Fleet(Model):
     lateness_s: NonNegative = Field(
         0.0, description="all keep apart also when any one of them is up to this much early or late"
     )
-    correction: Literal["off", "speed"] = Field(
+    correction: Literal["off", "speed", "speed_and_hold"] = Field(
         "off",
         description="speed: while flying, change speeds by command, within speed_m_s, so that all still arrive as "
-        "planned, or as soon as all can; off: only tell who is late",
+        "planned, or as soon as all can; speed_and_hold: also stop copters for a while that are too early even at "
+        "their least speed (they wait for a command to go on); off: only tell who is late",
     )
     direct_return: Literal["required", "waived"] = Field(
         "required",

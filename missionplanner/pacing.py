@@ -49,6 +49,10 @@ class Rules:
     """Corrected flights keep apart also when any one of them is so much early or late, if the planned ones do."""
     tries: int = 3
     """Commands refused or unanswered in a row before a vehicle is left alone."""
+    hold_s: float = 4.0
+    """Copters that are earlier than this even at their least speed are stopped for a while, where that is allowed."""
+    hold_before_s: float = 300.0
+    """Not much earlier than so long before the goal: until then, it may turn out to be unnecessary."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,14 +130,17 @@ def _spare_s(scene: Scene, plan: FleetPlan, index: int) -> float:
     return max(min(spare, default=0.0), 0.0) / share_s
 
 
-def pacer(scene: Scene, plan: FleetPlan, *, correct: bool, rules: Rules | None = None) -> Pacer:
-    """Return what watches, and where allowed corrects, the flight of a plan."""
+def pacer(
+    scene: Scene, plan: FleetPlan, *, correct: bool, hold: bool | None = None, rules: Rules | None = None
+) -> Pacer:
+    """Return what watches, and where allowed corrects, the flight of a plan; ``hold`` defaults to the mission's."""
     tasks = scene.tasks
     return Pacer(
         [course(scene, plan, index) for index in range(len(plan.vehicles))],
         lambda i, j: proof.required_apart_m(scene, tasks[i], tasks[j]),
         together=plan.arrival_s is not None,
         correct=correct,
+        hold=scene.mission.fleet.correction == "speed_and_hold" if hold is None else hold,
         lateness_s=scene.mission.fleet.lateness_s,
         rules=rules,
     )
@@ -315,7 +322,7 @@ class Pace:
 
 @dataclass(frozen=True, slots=True)
 class Trim:
-    """A speed to command."""
+    """A speed to command; to 0: a stop, expected to be so long, from 0: going on."""
 
     vehicle: int
     name: str
@@ -323,6 +330,7 @@ class Trim:
     to_m_s: float
     factor: float
     why: str
+    stop_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -352,6 +360,7 @@ class _Tracked:
     lost: bool = False  # the autopilot has forgotten what was commanded
     failures: int = 0
     held_s: float | None = None  # since when it holds where its mission wants it
+    stopped_s: float | None = None  # until when it is to stand, by our command
     moves: deque[tuple[float, int, FloatArray]] = field(default_factory=lambda: deque(maxlen=64))
     felt: deque[Gust] = field(default_factory=lambda: deque(maxlen=120))
     ways: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=24))  # taken, predicted (s)
@@ -376,6 +385,9 @@ _STEADY_M_S = 0.4
 _HELD_UP_M_S = 0.4
 _GUST_EVERY_S = 5.0
 _FROM_CORNERS_M = 25.0
+_ROOM_S = 0.5  # what going on after a stop needs at least
+_TOLD_S = 5.0  # who is earlier than that is told
+_AFTER_A_STOP = 1.1  # times the least speed
 _NEAR_S = 0.1  # how well a speed solves for an arrival
 _ELSEWHERE_S = (2.0, 5.0, 10.0, 20.0, -2.0, -5.0, -10.0)  # other delays, where the first is not proven apart
 
@@ -389,6 +401,7 @@ class Pacer:
     required_m : how far apart vehicles i and j must be
     together : whether they are to arrive as planned relative to each other; else each at its own time
     correct : whether speeds may be commanded; else it only tells
+    hold : whether copters may be stopped as well
     lateness_s : up to which the mission asks for separation
     """
 
@@ -399,11 +412,13 @@ class Pacer:
         *,
         together: bool = True,
         correct: bool = True,
+        hold: bool = False,
         lateness_s: float = 0.0,
         rules: Rules | None = None,
     ) -> None:
         self.rules = rules or Rules()
         self.correct = correct
+        self._hold = hold
         self._required_m = required_m
         self._together = together
         self._tracked = [_Tracked(course) for course in courses]
@@ -441,6 +456,7 @@ class Pacer:
     def obeyed(self, trim: Trim, t_s: float) -> None:
         """Take note that a speed was accepted."""
         tracked = self._tracked[trim.vehicle]
+        tracked.stopped_s = t_s + trim.stop_s if trim.to_m_s == 0.0 else None
         tracked.factor = trim.factor
         tracked.factor_leg = 0 if tracked.place is None else min(tracked.place.leg, len(tracked.course.speed_m_s))
         tracked.lost = False
@@ -451,8 +467,10 @@ class Pacer:
     def refused(self, trim: Trim, t_s: float) -> bool:
         """Take note that a speed was refused or not answered; True: this vehicle is now left alone."""
         tracked = self._tracked[trim.vehicle]
-        tracked.failures += 1
         tracked.due_s = t_s + self.rules.interval_s
+        if tracked.stopped_s is not None:  # it must go on, however often it is asked
+            return False
+        tracked.failures += 1
         return tracked.failures >= self.rules.tries
 
     def deliberate(self) -> Generator[None, None, Advice]:
@@ -468,15 +486,21 @@ class Pacer:
             paces.append(self._pace(tracked))
             yield
         delays = self._delays(paces)
-        remarks = [self._remark(pace) for pace in paces]
+        stopped = [tracked.stopped_s is not None for tracked in self._tracked]
+        remarks = [self._remark(pace, stopped=still) for pace, still in zip(paces, stopped, strict=True)]
         trims: tuple[Trim, ...] = ()
         hindered = next((r for r, p in zip(remarks, paces, strict=True) if r and p.state in ("away", "unheard")), None)
-        if delays is not None and self.correct and hindered is None:
+        if delays is not None and self.correct:
+            trims, problem = self._going_on(paces, delays)
+            remarks.append(problem)
+        if delays is not None and self.correct and hindered is None and not trims:
             trims, problem = yield from self._corrections(paces, delays)
             remarks.append(problem)
+            if not trims:
+                trims = yield from self._stops(paces, delays)
         delay_s = None if delays is None or not self._together else delays[0]
-        if delay_s is not None:
-            remarks += [_left_behind(pace, delay_s) for pace in paces]
+        if delay_s is not None and self.correct:
+            remarks += [_too_early(pace, delay_s) for pace in paces]
         return Advice(tuple(paces), delay_s, self._wind_m_s, trims, tuple(r for r in remarks if r))
 
     # -- the vehicles -----------------------------------------------------------------------------------------------
@@ -708,6 +732,64 @@ class Pacer:
                 problem = f"arriving {delays[wanting[0]]:+.0f} s from the plan would bring {tight}"
         return (), f"{problem}, and so would what was tried instead: speeds are left as they are"
 
+    def _stops(self, paces: Sequence[Pace], delays: Sequence[float]) -> Generator[None, None, tuple[Trim, ...]]:
+        """Return who is to stop because it cannot fly slowly enough, proven apart."""
+        if not self._hold:
+            return ()
+        for k, pace in enumerate(paces):
+            tracked = self._tracked[k]
+            model = tracked.course.model
+            # PX4 knows no pause that it goes on from by command, planes circle where nothing is proven
+            if model.autopilot != "ardupilot" or model.vehicle_class != "copter" or not self._may_trim(k, pace):
+                continue
+            assert pace.latest_s is not None
+            assert pace.at_s is not None
+            early_s = pace.planned_s + delays[k] - pace.latest_s
+            if early_s <= self.rules.hold_s:
+                continue
+            wait_s = self._wait_s(tracked, pace, delays[k])
+            yield
+            if (
+                wait_s > 0.0
+                and pace.latest_s - pace.at_s < self.rules.hold_before_s + 2.0 * wait_s
+                and self._too_close({}, self._needed_slack_s(), {k: wait_s}) is None
+            ):
+                speed_m_s = float(tracked.course.speeds(tracked.factor)[self._leg(tracked)])
+                why = f"would arrive {early_s:.0f} s early even at its least speed"
+                return (Trim(k, pace.name, speed_m_s, 0.0, tracked.factor, why, stop_s=wait_s),)
+        return ()
+
+    def _going_on(self, paces: Sequence[Pace], delays: Sequence[float]) -> tuple[tuple[Trim, ...], str]:
+        """Return who has stood long enough, and what keeps it from going on."""
+        for k, pace in enumerate(paces):
+            tracked = self._tracked[k]
+            if tracked.stopped_s is None or pace.state != "paused" or pace.at_s is None or pace.at_s < tracked.due_s:
+                continue
+            wait_s = self._wait_s(tracked, pace, delays[k])
+            tracked.stopped_s = pace.at_s + wait_s
+            if wait_s > 0.0:
+                continue
+            tight = self._too_close({}, _ROOM_S)
+            if tight is not None:
+                return (), f"{pace.name} stands longer: going on now would bring {tight}"
+            speed_m_s = float(tracked.course.speeds(tracked.factor)[self._leg(tracked)])
+            return (Trim(k, pace.name, 0.0, speed_m_s, tracked.factor, "has stood long enough"),), ""
+        return (), ""
+
+    def _wait_s(self, tracked: _Tracked, pace: Pace, delay_s: float) -> float:
+        """Return how long a vehicle must stand so that it arrives in time a little above its least speed.
+
+        What is left then, above and below, is for corrections after it.
+        """
+        low, high = tracked.course.factors
+        then_s = self._arrival_s(tracked, min(_AFTER_A_STOP * low, high))
+        return min(pace.planned_s + delay_s, tracked.course.latest_s) - then_s
+
+    def _leg(self, tracked: _Tracked) -> int:
+        """Return which of the speeds a vehicle flies at."""
+        assert tracked.place is not None
+        return tracked.place.leg - 1
+
     def _may_trim(self, k: int, pace: Pace) -> bool:
         tracked = self._tracked[k]
         return (
@@ -756,16 +838,23 @@ class Pacer:
             self._slack_s = slacks[0].slack_s if slacks else self.rules.lateness_s
         return max(self._lateness_s, min(self.rules.lateness_s, 0.9 * self._slack_s))
 
-    def _too_close(self, factors: Mapping[int, float], needed_s: float) -> str | None:
-        """Return who would come too close to whom under new scales; None: all keep apart, with room in time."""
+    def _too_close(
+        self, factors: Mapping[int, float], needed_s: float, stops_s: Mapping[int, float] | None = None
+    ) -> str | None:
+        """Return who would come too close to whom under new scales; None: all keep apart, with room in time.
+
+        Vehicles in ``stops_s`` stand still for so long first.
+        """
         flights: list[Trajectory] = []
         whose: list[int] = []
         for k, tracked in enumerate(self._tracked):
             if tracked.seen is None:
                 continue
             whose.append(k)
-            flights.append(self._ahead(tracked, factors.get(k, tracked.factor)))
-            if self._state(tracked) in ("waiting", "paused"):  # and nobody knows for how long
+            ahead = self._ahead(tracked, factors.get(k, tracked.factor))
+            stopped_s = 0.0 if tracked.stopped_s is None else tracked.stopped_s - tracked.seen.t_s
+            flights.append(_after_stop(ahead, (stops_s or {}).get(k, stopped_s)))
+            if tracked.stopped_s is None and self._state(tracked) in ("waiting", "paused"):  # nobody knows how long
                 whose.append(k)
                 position_m = np.array(tracked.seen.position_m, dtype=float)
                 flights.append(Trajectory(np.array([tracked.seen.t_s]), position_m[None]))
@@ -780,7 +869,7 @@ class Pacer:
                 return f"{names[0]} and {names[1]} within {required_m:g} m ({slack_s:.1f} s from it, of {needed_s:.1f})"
         return None
 
-    def _remark(self, pace: Pace) -> str:
+    def _remark(self, pace: Pace, *, stopped: bool) -> str:
         match pace.state:
             case "away":
                 return (
@@ -789,16 +878,24 @@ class Pacer:
                 )
             case "unheard":
                 return f"{pace.name} is not heard: no speeds are commanded"
-            case "paused":
+            case "paused" if not stopped:
                 return f"{pace.name} stands still"
             case _:
                 return ""
 
 
-def _left_behind(pace: Pace, delay_s: float) -> str:
-    if pace.state != "flying" or pace.latest_s is None or pace.latest_s >= pace.planned_s + delay_s - 1.0:
+def _after_stop(flight: Trajectory, stop_s: float) -> Trajectory:
+    """Return a flight that stands still for a while before it begins."""
+    if stop_s <= 0.0:
+        return flight
+    t_s = np.concatenate([flight.t_s[:1], flight.t_s + stop_s])
+    return Trajectory(t_s, np.concatenate([flight.position_m[:1], flight.position_m]))
+
+
+def _too_early(pace: Pace, delay_s: float) -> str:
+    if pace.state != "flying" or pace.latest_s is None or pace.latest_s > pace.planned_s + delay_s - _TOLD_S:
         return ""
-    return f"{pace.name} arrives {pace.planned_s + delay_s - pace.latest_s:.0f} s before the others at its least speed"
+    return f"{pace.name} is too early even at its least speed: others need longer"
 
 
 def _target_s(pace: Pace, delay_s: float) -> float:

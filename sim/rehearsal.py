@@ -39,6 +39,7 @@ def rehearse(
     plan: FleetPlan,
     *,
     correct: bool,
+    hold: bool = False,
     wind_m_s: tuple[float, float] | None = None,
     late_s: Mapping[str, float] | None = None,
     pauses: Sequence[Pause] = (),
@@ -52,6 +53,7 @@ def rehearse(
     Parameters
     ----------
     correct : whether speeds may be commanded on the way
+    hold : whether copters may be stopped as well
     wind_m_s : (east, north) that blows instead of the wind planned for
     late_s : how much later than told vehicles take off, by name
     pauses : on the way
@@ -87,7 +89,7 @@ def rehearse(
         link.set_returns()
         link.start()
         clock.begin()
-        flight = link.watch(pacer=pacer(scene, plan, correct=correct, rules=rules), tell=tell)
+        flight = link.watch(pacer=pacer(scene, plan, correct=correct, hold=hold, rules=rules), tell=tell)
     return Rehearsal(flight, check_flight(scene, plan, flight))
 
 
