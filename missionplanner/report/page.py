@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from missionplanner.certificate import Certificate
 from missionplanner.files import write_atomic
 from missionplanner.mission import Mission
-from missionplanner.plan import Clearance, FleetFlight, FleetPlan
+from missionplanner.plan import Clearance, FleetFlight, FleetPlan, VehiclePlan
 from missionplanner.replay import FleetReplay, VehicleReplay
 from missionplanner.report import charts, replays, style
 from missionplanner.report.facts import Course, Facts, Sketch, VehicleFacts, collect, sketch_of
@@ -397,6 +397,11 @@ def _least_tiles(sketch: Sketch) -> Iterator[_Tile]:
         yield _Tile(label, _metres(least.distance_m), note, bad=not least.ok)
 
 
+def _speeds(plan: VehiclePlan) -> str:
+    low, high = float(plan.speeds_m_s.min()), float(plan.speeds_m_s.max())
+    return f"{high:.2f}" if low == high else f"{low:.2f} \N{EN DASH} {high:.2f}"
+
+
 def _vehicle_row(v: VehicleFacts) -> _VehicleRow:
     plan, flown = v.plan, v.flown
     flown_arrival = ""
@@ -409,7 +414,7 @@ def _vehicle_row(v: VehicleFacts) -> _VehicleRow:
         kind=f"{'ArduPilot' if plan.autopilot == 'ardupilot' else 'PX4'} {plan.vehicle_class}, {plan.sysid}",
         length=f"{plan.length_m:,.0f}",
         waypoints=len(plan.waypoints_m),
-        speed=f"{plan.speed_m_s:.2f}",
+        speed=_speeds(plan),
         delay=f"{plan.start_delay_s:.1f}",
         window=f"{plan.window_s[0]:.0f} – {plan.window_s[1]:.0f}",  # noqa: RUF001 (a range)
         arrival=f"{plan.arrival_s:.1f}",
@@ -443,7 +448,15 @@ def _clearance_rows(facts: Facts) -> Iterator[_ClearanceRow]:
 def _fleet_rows(facts: Facts) -> Iterator[tuple[str, str]]:
     plan, flight = facts.plan, facts.flight
     if plan.arrival_s is not None:
-        yield "common arrival", f"{plan.arrival_s:.2f} s after mission start"
+        order = plan.mission.fleet.arrival_order
+        told = f", then one every {plan.mission.fleet.arrival_spacing_s:g} s: {', '.join(order)}" if order else ""
+        yield "common arrival", f"{plan.arrival_s:.2f} s after mission start{told}"
+    for finding in facts.findings:
+        if finding.check == "rendezvous":
+            yield "rendezvous", finding.detail
+    for resolution in plan.resolutions:
+        met = f", who would have met {resolution.other} at {resolution.t_s:.0f} s," if resolution.other else ""
+        yield "kept apart" if resolution.other else "kept back", f"{resolution.vehicle}{met} {resolution.detail}"
     if flight is not None and len(facts.vehicles) > 1:
         spread_s = flight.arrival_spread_s
         yield "spread of flown arrivals", "not all arrived" if spread_s is None else f"{spread_s:.3f} s"
