@@ -126,7 +126,6 @@ _NOT_FOLLOWED = {
 }
 
 _AIRSPEED, _GROUND_SPEED = 0, 1  # speed types
-_PX4_SPEED_M_S = 5.0  # MPC_XY_CRUISE
 _LEAST_SPEED_M_S = 0.2  # ArduCopter ignores less (measured)
 _LEAST_CLIMB_M = 1.0  # a take-off to less is raised by the autopilot itself
 _CIRCLE_RADIUS_M = 10.0  # CIRCLE_RADIUS
@@ -176,7 +175,8 @@ def read_sortie(
             raise MissionError(f"{name}: expected item {place}, got {item.seq}: items are numbered from 0 without gaps")
     home, home_gaps, notes = _home(items[0], name, autopilot, frame, home_m, ground)
     if speed_default_m_s is None:
-        copter_m_s = motion.arducopter.cruise_speed_m_s if autopilot == "ardupilot" else _PX4_SPEED_M_S
+        ardupilot = autopilot == "ardupilot"
+        copter_m_s = motion.arducopter.cruise_speed_m_s if ardupilot else motion.px4.return_speed_m_s
         speed_default_m_s = motion.cruise_speed_m_s if vehicle_class == "plane" else copter_m_s
     reader = _Reader(
         name, autopilot, vehicle_class, frame, home, motion, speed_default_m_s, airspeed_limits_m_s, ground

@@ -244,6 +244,22 @@ _ARDUCOPTER = (
     Parameter("arducopter.return_wait_s", "s", 5.0, 0.0, 60.0, (Spelling("RTL_LOIT_TIME", 1000.0, whole=True),)),
     Parameter("arducopter.return_final_height_m", "m", 0.0, 0.0, 0.0, _cm("RTL_ALT_FINAL", "RTL_ALT_FINAL_M")),
     Parameter("return_height_m", "m", 15.0, 0.3, 3000.0, _cm("RTL_ALT", "RTL_ALT_M"), sent=True),
+    Parameter(
+        "arducopter.vertical_acceleration_m_s2", "m/s^2", 1.0, 0.5, 5.0, _cm("WPNAV_ACCEL_Z", "WP_ACC_Z", whole=False)
+    ),
+    Parameter(
+        "arducopter.corner_acceleration_m_s2", "m/s^2", 0.0, 0.0, 5.0, _cm("WPNAV_ACCEL_C", "WP_ACC_CNR", whole=False)
+    ),
+    Parameter("arducopter.land_speed_m_s", "m/s", 0.5, 0.3, 2.0, _cm("LAND_SPEED", "LAND_SPD_MS")),
+    Parameter("arducopter.land_slow_below_m", "m", 10.0, 1.0, 100.0, _cm("LAND_ALT_LOW", "LAND_ALT_LOW_M")),
+    Parameter("arducopter.land_high_speed_m_s", "m/s", 0.0, 0.0, 5.0, _cm("LAND_SPEED_HIGH", "LAND_SPD_HIGH_MS")),
+    Parameter("arducopter.lean_max_deg", "deg", 30.0, 10.0, 80.0, _cm("ANGLE_MAX", "ATC_ANGLE_MAX")),
+    Parameter("arducopter.lean_auto_max_deg", "deg", 0.0, 0.0, 45.0, _as("PSC_ANGLE_MAX")),
+    Parameter("arducopter.input_time_s", "s", 0.15, 0.0, 1.0, _as("ATC_INPUT_TC")),
+    Parameter("arducopter.position_gain", "1/s", 1.0, 0.5, 2.0, _as("PSC_POSXY_P", "PSC_NE_POS_P")),
+    Parameter("arducopter.velocity_gains.0", "1/s", 2.0, 0.1, 6.0, _as("PSC_VELXY_P", "PSC_NE_VEL_P")),
+    Parameter("arducopter.velocity_gains.1", "1/s^2", 1.0, 0.02, 1.0, _as("PSC_VELXY_I", "PSC_NE_VEL_I")),
+    Parameter("arducopter.velocity_gains.2", "", 0.5, 0.0, 1.0, _as("PSC_VELXY_D", "PSC_NE_VEL_D")),
 )
 _PX4_COPTER = (
     Parameter("acceleration_m_s2", "m/s^2", 3.0, 0.5, 15.0, _as("MPC_ACC_HOR")),
@@ -252,6 +268,30 @@ _PX4_COPTER = (
     Parameter("descent_rate_m_s", "m/s", 1.5, 0.3, 4.0, _as("MPC_Z_V_AUTO_DN")),
     Parameter("waypoint_radius_m", "m", 2.0, 0.05, 200.0, _as("NAV_ACC_RAD")),
     Parameter("return_height_m", "m", 60.0, 0.1, 10_000.0, _as("RTL_RETURN_ALT"), sent=True),
+    Parameter("px4.corner_gain", "1/s", 0.5, 0.1, 1.0, _as("MPC_XY_TRAJ_P")),
+    Parameter("px4.lag_max_m", "m", 2.0, 0.1, 10.0, _as("MPC_XY_ERR_MAX")),
+    Parameter("px4.altitude_radius_m", "m", 0.8, 0.05, 200.0, _as("NAV_MC_ALT_RAD")),
+    Parameter("px4.speed_max_m_s", "m/s", 12.0, 0.5, 20.0, _as("MPC_XY_VEL_MAX"), limits_speed="above"),
+    Parameter("px4.return_speed_m_s", "m/s", 5.0, 0.5, 20.0, _as("MPC_XY_CRUISE")),
+    Parameter("px4.return_descend_m", "m", 10.0, 0.0, 1000.0, _as("RTL_DESCEND_ALT")),
+    Parameter("px4.return_wait_s", "s", 0.0, 0.0, 3600.0, _as("RTL_LAND_DELAY")),
+    Parameter("px4.climb_acceleration_m_s2", "m/s^2", 4.0, 2.0, 15.0, _as("MPC_ACC_UP_MAX")),
+    Parameter("px4.descent_acceleration_m_s2", "m/s^2", 3.0, 2.0, 15.0, _as("MPC_ACC_DOWN_MAX")),
+    Parameter("px4.takeoff_speed_m_s", "m/s", 1.5, 1.0, 5.0, _as("MPC_TKO_SPEED")),
+    Parameter("px4.takeoff_ramp_s", "s", 3.0, 0.0, 5.0, _as("MPC_TKO_RAMP_T")),
+    Parameter("px4.land_speed_m_s", "m/s", 0.7, 0.5, 4.0, _as("MPC_LAND_SPEED")),
+    Parameter("px4.land_crawl_m_s", "m/s", 0.3, 0.1, 4.0, _as("MPC_LAND_CRWL")),
+    Parameter("px4.slow_below_m", "m", 10.0, 0.0, 122.0, _as("MPC_LAND_ALT1")),
+    Parameter("px4.land_below_m", "m", 5.0, 0.0, 122.0, _as("MPC_LAND_ALT2")),
+    Parameter("px4.crawl_below_m", "m", 1.0, 0.0, 122.0, _as("MPC_LAND_ALT3")),
+    Parameter("px4.position_gain", "1/s", 0.95, 0.2, 2.0, _as("MPC_XY_P")),
+    Parameter("px4.velocity_gains.0", "1/s", 1.8, 1.2, 5.0, _as("MPC_XY_VEL_P_ACC")),
+    Parameter("px4.velocity_gains.1", "1/s^2", 0.4, 0.0, 60.0, _as("MPC_XY_VEL_I_ACC")),
+    Parameter("px4.velocity_gains.2", "", 0.2, 0.1, 2.0, _as("MPC_XY_VEL_D_ACC")),
+    Parameter("px4.vertical_position_gain", "1/s", 1.0, 0.2, 1.5, _as("MPC_Z_P")),
+    Parameter("px4.vertical_velocity_gains.0", "1/s", 4.0, 2.0, 15.0, _as("MPC_Z_VEL_P_ACC")),
+    Parameter("px4.vertical_velocity_gains.1", "1/s^2", 2.0, 0.2, 3.0, _as("MPC_Z_VEL_I_ACC")),
+    Parameter("px4.tilt_max_deg", "deg", 45.0, 20.0, 89.0, _as("MPC_TILTMAX_AIR")),
 )
 _ARDUPLANE = (
     Parameter(

@@ -49,9 +49,6 @@ PLANE_EFFICIENCY = 0.5
 PLANE_GLIDE_RATIO = 12.0
 """Where only the endurance is known. Small planes glide 8 to 12 to one; the better they do, the more a climb adds."""
 
-_SETTLING_S = (
-    1.0  # 1 / PSC_POSXY_P, 1 / PSC_POSZ_P: by so much a change of speed takes longer than at full acceleration
-)
 _SAME_SHARE = 1e-9
 
 
@@ -178,7 +175,8 @@ def return_share(
     velocity = np.diff(position, axis=0) / np.diff(trajectory.t_s)[:, None]
     speed_m_s = float(np.hypot(velocity[:, 0], velocity[:, 1]).max(initial=0.0))
     rise_m_s = float(velocity[:, 2].max(initial=0.0))
-    settling_s = max(_SETTLING_S, 0.5 * motion.acceleration_m_s2 / motion.jerk_m_s3)
+    loop_s = motion.settling_s  # by so much a change of speed takes longer than at full acceleration
+    settling_s = max(loop_s, 0.5 * motion.acceleration_m_s2 / motion.jerk_m_s3)
     brakes_m_s2 = braking_m_s2(motion, wind_m_s)
     braking_s = speed_m_s / brakes_m_s2 + 2.0 * settling_s
     braking_m = speed_m_s * (0.5 * speed_m_s / brakes_m_s2 + settling_s)
@@ -189,10 +187,12 @@ def return_share(
         way_s = away_m / (np.minimum(made, asked_m_s) if copter else made) + braking_m / ground_m_s
     else:
         way_s = (away_m + braking_m) / ground_m_s
-    high_m = np.maximum(position[:, 2] + rise_m_s * (0.5 * rise_m_s + _SETTLING_S), above[2])
+    high_m = np.maximum(
+        position[:, 2] + rise_m_s * (0.5 * rise_m_s / motion.vertical_acceleration_m_s2 + loop_s), above[2]
+    )
     if copter:
         down_s = landing_s(motion, return_height_m)
-        down_s += float(way.hold_s.sum()) + 2.0 * _SETTLING_S * len(way.points_m)
+        down_s += float(way.hold_s.sum()) + 2.0 * loop_s * len(way.points_m)
         ending_s = down_s + (high_m - above[2]) / motion.descent_rate_m_s
     else:
         ending_s = np.full(len(position), 2.0 * 2.0 * math.pi * motion.loiter_radius_m / ground_m_s)

@@ -56,9 +56,7 @@ from missionplanner.vehicle import MotionModel, VehicleLimits
 from missionplanner.wind import braking_m_s2, falls_behind, pushed_off_m, turn_drift_m
 
 _TICK_S = 0.1
-_POSITION_LOOP_S = 1.0  # 1 / PSC_POSXY_P, 1 / PSC_POSZ_P
 _LEAN_S = 0.3  # for which ArduCopter still accelerates as before
-_VERTICAL_M_S2 = 1.0
 _CLIMB_KEPT = 0.75
 """ArduCopter climbs anew from its stopping point while it still brakes to that: 0.8 remain at WPNAV_JERK = 1 m/s^3."""
 
@@ -259,7 +257,7 @@ def _stopping(
     along = np.maximum(np.einsum("nk,nk->n", gain, heading), 0.0)
     across = np.abs(gain[:, 0] * heading[:, 1] - gain[:, 1] * heading[:, 0])
     a, jerk = motion.acceleration_m_s2, motion.jerk_m_s3
-    lag_s = max(_POSITION_LOOP_S, a / (2.0 * jerk))
+    lag_s = max(motion.settling_s, a / (2.0 * jerk))
     along, across = np.minimum(along, 2.0 * a), np.minimum(across, 2.0 * a)  # corners take twice as much
     if motion.autopilot == "px4":
         distance = stopping_m(speed + along**2 / (2.0 * jerk), brakes_m_s2, lag_s) + speed * along / jerk
@@ -274,7 +272,7 @@ def _stopping(
     climb = np.maximum(behind[:, 2], ahead[:, 2])
     sink = np.minimum(behind[:, 2], ahead[:, 2])
     lift = _CLIMB_KEPT * np.maximum(sink, 0.0) / np.maximum(speed, _SLOW_M_S) * np.where(slow, 0.0, distance)
-    return stop, swing, _overrun_m(np.maximum(-sink, 0.0)), _overrun_m(np.maximum(climb, 0.0)), lift
+    return stop, swing, _overrun_m(motion, np.maximum(-sink, 0.0)), _overrun_m(motion, np.maximum(climb, 0.0)), lift
 
 
 def stopping_m(speed_m_s: FloatArray, acceleration_m_s2: float, lag_s: float) -> FloatArray:
@@ -283,11 +281,12 @@ def stopping_m(speed_m_s: FloatArray, acceleration_m_s2: float, lag_s: float) ->
     return distance
 
 
-def _overrun_m(rate_m_s: FloatArray) -> FloatArray:
+def _overrun_m(motion: MotionModel, rate_m_s: FloatArray) -> FloatArray:
     """Return how much further a copter climbs or sinks at most."""
-    knee_m_s = _VERTICAL_M_S2 * _POSITION_LOOP_S
-    fast = rate_m_s**2 / (2.0 * _VERTICAL_M_S2) + 0.5 * knee_m_s * _POSITION_LOOP_S
-    return np.where(rate_m_s > knee_m_s, fast, rate_m_s * _POSITION_LOOP_S)
+    b_m_s2, loop_s = motion.vertical_acceleration_m_s2, motion.settling_s
+    knee_m_s = b_m_s2 * loop_s
+    fast = rate_m_s**2 / (2.0 * b_m_s2) + 0.5 * knee_m_s * loop_s
+    return np.where(rate_m_s > knee_m_s, fast, rate_m_s * loop_s)
 
 
 @kernel

@@ -35,6 +35,7 @@ class Px4Tuning:
     speed_max_m_s: float = 12.0  # MPC_XY_VEL_MAX
     return_speed_m_s: float = 5.0  # MPC_XY_CRUISE: RTL forgets the mission's speed
     return_descend_m: float = 10.0  # RTL_DESCEND_ALT: as a waypoint down to this height, then LAND
+    return_wait_s: float = 0.0  # RTL_LAND_DELAY, at that height
     climb_acceleration_m_s2: float = 4.0  # MPC_ACC_UP_MAX
     descent_acceleration_m_s2: float = 3.0  # MPC_ACC_DOWN_MAX
     takeoff_speed_m_s: float = 1.5  # MPC_TKO_SPEED, below slow_below_m
@@ -65,7 +66,9 @@ class ArducopterTuning:
     corner_acceleration_m_s2: float = 0.0  # WPNAV_ACCEL_C; 0: twice WPNAV_ACCEL
     land_speed_m_s: float = 0.5  # LAND_SPEED, below land_slow_below_m
     land_slow_below_m: float = 10.0  # LAND_ALT_LOW
+    land_high_speed_m_s: float = 0.0  # LAND_SPEED_HIGH, above that; 0: its rate of descent
     lean_max_deg: float = 30.0  # ANGLE_MAX
+    lean_auto_max_deg: float = 0.0  # PSC_ANGLE_MAX; 0: lean_max_deg
     input_time_s: float = 0.15  # ATC_INPUT_TC: how fast it leans
     position_gain: float = 1.0  # PSC_POSXY_P
     velocity_gains: tuple[float, float, float] = (2.0, 1.0, 0.5)  # PSC_VELXY_P, _I, _D
@@ -74,6 +77,11 @@ class ArducopterTuning:
     def homing_m_s(self) -> float:
         """Its speed on the way home."""
         return self.return_speed_m_s or self.cruise_speed_m_s
+
+    @property
+    def lean_deg(self) -> float:
+        """How far it leans on a mission."""
+        return min(self.lean_auto_max_deg or self.lean_max_deg, self.lean_max_deg)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +104,20 @@ class MotionModel:
     cruise_speed_m_s: float = 22.0  # while no mission says otherwise: on take-off and on the way home
     loiter_radius_m: float = 60.0
     airspeed_limits_m_s: tuple[float, float] = (0.0, math.inf)  # what may be commanded; ArduPlane ignores the rest
+
+    @property
+    def settling_s(self) -> float:
+        """How long its position controllers take at least, as ways home are proven with."""
+        if self.vehicle_class == "plane":
+            return 1.0
+        if self.autopilot == "ardupilot":
+            return max(1.0, 1.0 / self.arducopter.position_gain)
+        return max(1.0, 0.95 / self.px4.position_gain, 1.0 / self.px4.vertical_position_gain)  # at the defaults: 1
+
+    @property
+    def vertical_acceleration_m_s2(self) -> float:
+        """How fast it changes its rate of climb at least, as ways home are proven with."""
+        return min(1.0, self.arducopter.vertical_acceleration_m_s2) if self.autopilot == "ardupilot" else 1.0
 
     def return_alt_amsl_m(self, alt_amsl_m: float, home_amsl_m: float) -> float:
         """Return how high RTL brings a vehicle above its home: a copter no lower than it is, a plane just so high."""
@@ -232,6 +254,8 @@ def _speeds_m_s(settings: VehicleSettings, model: MotionModel) -> tuple[float, f
         low, high = max(low, slowest), min(high, fastest)
     elif settings.autopilot == "ardupilot":
         high = model.arducopter.cruise_speed_m_s
+    else:
+        high = min(high, model.px4.speed_max_m_s)
     return min(low, high), high
 
 

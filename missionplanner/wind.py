@@ -38,8 +38,7 @@ _SPEED_STEP_M_S = 0.25  # between speeds that are tried
 _SPEEDS_MAX = 24
 _HELD_SHARE = 0.95  # of what a tube allows: speeds between those that were tried may be a little worse
 _SAME_M_S = 1e-6
-_LEAN_TIME_S = 0.15  # ATC_INPUT_TC, MC_ROLL_P
-_DAMPING_GAIN = {"ardupilot": 0.5, "px4": 0.2}  # PSC_VELXY_D, MPC_XY_VEL_D_ACC
+_PX4_LEAN_TIME_S = 0.15  # MC_ROLL_P
 _LEAN_IN_S, _LEAN_IN_STEP_S = 20.0, 0.01
 _DIRECTIONS = 24
 _WAY_M = 200.0  # long enough to show how far a straight flight is pushed aside
@@ -274,16 +273,19 @@ def leaning_in_m(model: MotionModel, wind_m_s: float) -> float:
     The controller of :mod:`.motion.airframe`, along the wind; the predicted flight has leaned in before it lifts off.
     """
     row, _ = initial(model, np.zeros(3))
+    gains = model.arducopter.velocity_gains if model.autopilot == "ardupilot" else model.px4.velocity_gains
+    lean_time_s = model.arducopter.input_time_s if model.autopilot == "ardupilot" else _PX4_LEAN_TIME_S
+    lean_share = _LEAN_IN_STEP_S / max(lean_time_s, _LEAN_IN_STEP_S)
     position = velocity = thrust = summed = farthest = before = 0.0
     for _ in range(round(_LEAN_IN_S / _LEAN_IN_STEP_S)):
         error = -float(row[POSITION_GAIN]) * position - velocity
-        damping = _DAMPING_GAIN[model.autopilot] * (error - before) / _LEAN_IN_STEP_S
+        damping = gains[2] * (error - before) / _LEAN_IN_STEP_S
         wish, before = float(row[VELOCITY_GAIN]) * error + summed + damping, error
         limited = abs(wish) > row[LEAN]
         if not limited or error * summed < 0.0:
             summed += float(row[INTEGRAL_GAIN]) * error * _LEAN_IN_STEP_S
         wish = max(-float(row[LEAN]), min(float(row[LEAN]), wish))
-        thrust += (wish - thrust) * _LEAN_IN_STEP_S / _LEAN_TIME_S
+        thrust += (wish - thrust) * lean_share
         air = abs(wind_m_s - velocity)
         push = float(row[DRAG] + row[DRAG_SQUARED] * air) * (wind_m_s - velocity)
         velocity += (thrust + push) * _LEAN_IN_STEP_S

@@ -457,11 +457,9 @@ _ARDUCOPTER = Personality(
     # AUTO_OPTIONS 2: a simulated pilot has no throttle stick to raise before a take-off in AUTO
     parameters=MappingProxyType(
         {
-            "ANGLE_MAX": 3000,
             "ARMING_CHECK": 1,
             "AUTO_OPTIONS": 2,
             "DISARM_DELAY": 10,
-            "LAND_SPEED": 50,
             "MIS_RESTART": 0,
             "RTL_ALT": 1500,
             "RTL_ALT_TYPE": 0,
@@ -520,10 +518,7 @@ _PX4_COPTER = Personality(
             "COM_DISARM_PRFLT": 10.0,
             "MIS_TAKEOFF_ALT": 2.5,
             "MIS_DIST_1WP": 10_000.0,
-            "MPC_XY_CRUISE": 5.0,
-            "MPC_XY_VEL_MAX": 12.0,
             "RTL_CONE_ANG": 45,
-            "RTL_DESCEND_ALT": 30.0,
             "RTL_MIN_DIST": 10.0,
             "RTL_RETURN_ALT": 60.0,
             "RTL_TYPE": 0,  # the only one that is simulated
@@ -539,7 +534,7 @@ _PX4_PLANE = replace(
     speed_parameter=("FW_AIRSPD_TRIM", 1.0),
     parameters=MappingProxyType(
         {
-            **{name: value for name, value in _PX4_COPTER.parameters.items() if not name.startswith("MPC_")},
+            **_PX4_COPTER.parameters,
             "RTL_DESCEND_ALT": 100.0,
             "RTL_RETURN_ALT": 100.0,
         }

@@ -78,7 +78,13 @@ def landing_points(model: MotionModel, from_m: npt.ArrayLike, ground_amsl_m: flo
         return Route.through([[start[0], start[1], ground_amsl_m]], speed_m_s, by_altitude=1.0)
     disarm_s = _ARDUCOPTER_DISARM_S if model.autopilot == "ardupilot" else _PX4_DISARM_S
     ground = [[start[0], start[1], ground_amsl_m]]
-    return Route.through(ground, model.descent_rate_m_s, disarm_s, by_altitude=1.0)
+    return Route.through(ground, model.descent_rate_m_s, disarm_s, _sinking_m_s(model), by_altitude=1.0)
+
+
+def _sinking_m_s(model: MotionModel) -> float:
+    """Return how fast a copter comes down to where it slows down to land."""
+    high_m_s = model.arducopter.land_high_speed_m_s if model.autopilot == "ardupilot" else 0.0
+    return min(high_m_s or model.descent_rate_m_s, model.descent_rate_m_s)
 
 
 def landing_s(model: MotionModel, height_m: float) -> float:
@@ -87,7 +93,7 @@ def landing_s(model: MotionModel, height_m: float) -> float:
     if model.autopilot == "px4":
         slow_m, slow_m_s = model.px4.slow_below_m, model.px4.land_speed_m_s
     slow_m = min(slow_m, height_m)
-    return (height_m - slow_m) / model.descent_rate_m_s + slow_m / slow_m_s + _LANDING_RAMPS_S
+    return (height_m - slow_m) / _sinking_m_s(model) + slow_m / slow_m_s + _LANDING_RAMPS_S
 
 
 def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLike) -> Route:
@@ -103,16 +109,17 @@ def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLi
         return Route.through([above], model.cruise_speed_m_s)
     ardupilot = model.autopilot == "ardupilot"
     speed_m_s = model.arducopter.homing_m_s if ardupilot else model.px4.return_speed_m_s
-    wait_s = model.arducopter.return_wait_s if ardupilot else 0.0  # RTL_LAND_DELAY
+    wait_s = model.arducopter.return_wait_s if ardupilot else model.px4.return_wait_s
     top = np.array([start[0], start[1], height])
     stop_s = 0.0
     if ardupilot and height < start[2] + _NO_CLIMB_M:
         top = above  # no climb
     elif ardupilot:
         stop_s = _STOP_S  # it flies the climb and the way home as legs of their own
-    way = Route.through(np.array([top, above]), speed_m_s, [stop_s, wait_s])
-    legs = [way, landing_points(model, above, float(home[2]))]
+    landing = landing_points(model, above, float(home[2]))
     lower = np.array([home[0], home[1], home[2] + model.px4.return_descend_m])
-    if not ardupilot and lower[2] < height:
-        legs.insert(1, Route.through([lower], speed_m_s))
+    if ardupilot or lower[2] >= height:
+        legs = [Route.through(np.array([top, above]), speed_m_s, [stop_s, wait_s]), landing]
+    else:
+        legs = [Route.through(np.array([top, above, lower]), speed_m_s, [0.0, 0.0, wait_s]), landing]
     return Route(*(np.concatenate(column) for column in zip(*legs, strict=True)))

@@ -123,7 +123,7 @@ def _tune_arducopter(row: FloatArray, tuning: ArducopterTuning) -> None:
     row[POSITION_GAIN] = tuning.position_gain
     row[VELOCITY_GAIN], row[INTEGRAL_GAIN], row[DAMPING_GAIN] = tuning.velocity_gains
     row[ERROR_TIME] = 1.0 / (2.0 * math.pi * 5.0)  # PSC_VELXY_FLTE, _FLTD
-    row[LEAN] = _GRAVITY_M_S2 * math.tan(math.radians(tuning.lean_max_deg))
+    row[LEAN] = _GRAVITY_M_S2 * math.tan(math.radians(tuning.lean_deg))
     row[LEAN_TIME], row[RATE_TIME] = tuning.input_time_s, 0.08  # what the rate controller and the rotors add
     row[DRAG], row[DRAG_SQUARED] = 0.41, 0.0132  # 10.35 m/s at 30 deg (measured)
     row[ALTITUDE_GAIN], row[RISE_GAIN] = 1.0, 5.0  # PSC_POSZ_P, PSC_VELZ_P
