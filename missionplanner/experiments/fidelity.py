@@ -45,7 +45,6 @@ MARKS = ("<!-- fidelity: begin -->", "<!-- fidelity: end -->")
 
 _SETTLE_S = 2.0
 _ROLLED_M = 20.0  # from there on a plane's course is the one it stood in
-_AIRSPEED_LIMITS_M_S = 9.0, 30.0  # AIRSPEED_MIN and AIRSPEED_MAX of ArduPlane's simulator
 _NAMES: dict[Kind, str] = {"arducopter": "ArduCopter", "arduplane": "ArduPlane", "px4": "PX4 multicopter"}
 _SPLINES = ", splines"
 _COLOURS = {
@@ -290,7 +289,7 @@ def predict(recording: Recording) -> Flight:
         frame=recording.frame,
         home_m=home_m,
         motion=motion,
-        airspeed_limits_m_s=_AIRSPEED_LIMITS_M_S if plane else None,
+        airspeed_limits_m_s=motion.airspeed_limits_m_s if plane else None,
     )
     return proof.predict(scene, [sortie])[0]
 
@@ -298,10 +297,11 @@ def predict(recording: Recording) -> Flight:
 def _facing(recording: Recording, motion: MotionModel) -> list[MissionItem]:
     """Return a plane's mission with its take-off ahead of it: it climbs out the way it stands, which this tells."""
     items = list(recording.items)
-    moved = np.flatnonzero(np.hypot(*recording.position_m[:, :2].T) > _ROLLED_M)
+    rolled_m = recording.position_m - recording.position_m[0]
+    moved = np.flatnonzero(np.hypot(*rolled_m[:, :2].T) > _ROLLED_M)
     for k, item in enumerate(items):
         if item.command == TAKEOFF and moved.size:
-            away_m = recording.position_m[moved[0]]
+            away_m = rolled_m[moved[0]]
             ahead_m = away_m / np.hypot(*away_m[:2]) * motion.takeoff_distance_m(item.z, recording.home.alt_amsl_m)
             lat_deg, lon_deg, _ = recording.frame.to_geo(ahead_m)
             items[k] = replace(item, x=degrees_to_wire(float(lat_deg)), y=degrees_to_wire(float(lon_deg)))

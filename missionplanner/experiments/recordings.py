@@ -90,7 +90,8 @@ class Recording:
     @property
     def waypoints(self) -> tuple[MissionItem, ...]:
         """The items whose times are compared: waypoints, straight and spline, and timed loiters."""
-        return tuple(item for item in self.items if item.command in _PLACED)
+        home = self.autopilot == "ardupilot"  # is its item 0
+        return tuple(item for item in self.items[1 if home else 0 :] if item.command in _PLACED)
 
     def reached_s(self, seq: int) -> float | None:
         """Return when an item was reached, None where that was lost.
