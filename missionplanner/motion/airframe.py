@@ -41,21 +41,26 @@ def follow_target(s: FloatArray, h: float) -> None:
     """Move the vehicle by ``h`` seconds after its target.
 
     P on the position, PID on the velocity, feed-forward of the target's velocity and acceleration; the sum is what the
-    vehicle leans for, up to its lean limit, against a drag that grows with its speed through the air.
+    vehicle leans for, up to its lean limit, against a drag that grows with its speed through the air. At the limit,
+    what keeps it on its way comes first (AC_PosControl, limit_accel_xy).
     """
     wish_x = _wish(s, 0, h)
     wish_y = _wish(s, 1, h)
-    total = math.hypot(wish_x, wish_y)
-    limited = total > s[LEAN]
+    asked_x, asked_y = wish_x, wish_y
+    limited = math.hypot(wish_x, wish_y) > s[LEAN]
     if limited:
-        wish_x *= s[LEAN] / total
-        wish_y *= s[LEAN] / total
+        wish_x, wish_y = _within_lean(s, wish_x, wish_y)
+    held = math.hypot(s[INTEGRAL], s[INTEGRAL + 1])
+    grown_x = s[INTEGRAL] + s[INTEGRAL_GAIN] * s[ERROR] * h
+    grown_y = s[INTEGRAL + 1] + s[INTEGRAL_GAIN] * s[ERROR + 1] * h
+    grown = math.hypot(grown_x, grown_y)
+    if limited and grown > held and s[ERROR] * asked_x + s[ERROR + 1] * asked_y > 0.0:  # no wind-up against the limit
+        grown_x *= held / grown
+        grown_y *= held / grown
+    s[INTEGRAL], s[INTEGRAL + 1] = grown_x, grown_y
     speed = math.hypot(s[VELOCITY] - s[WIND], s[VELOCITY + 1] - s[WIND + 1])
     drag = s[DRAG] + s[DRAG_SQUARED] * speed
     for axis in range(2):
-        error = s[ERROR + axis]
-        if not limited or error * s[INTEGRAL + axis] < 0.0:  # no wind-up against the lean limit
-            s[INTEGRAL + axis] += s[INTEGRAL_GAIN] * error * h
         wish = wish_x if axis == 0 else wish_y
         s[LEAN_TARGET + axis] += (wish - s[LEAN_TARGET + axis]) * _share(h, s[LEAN_TIME])
         s[THRUST + axis] += (s[LEAN_TARGET + axis] - s[THRUST + axis]) * _share(h, s[RATE_TIME])
@@ -63,6 +68,22 @@ def follow_target(s: FloatArray, h: float) -> None:
         s[VELOCITY + axis] += (s[THRUST + axis] - drag * (before - s[WIND + axis])) * h
         s[POSITION + axis] += 0.5 * (before + s[VELOCITY + axis]) * h
     _rise(s, h)
+
+
+@kernel
+def _within_lean(s: FloatArray, wish_x: float, wish_y: float) -> tuple[float, float]:
+    """Return an acceleration within the lean limit: what is left of that across its target's way goes along it."""
+    lean = s[LEAN]
+    wanted = math.hypot(s[TARGET_VELOCITY], s[TARGET_VELOCITY + 1])
+    if wanted == 0.0:
+        share = lean / math.hypot(wish_x, wish_y)
+        return wish_x * share, wish_y * share
+    ux, uy = s[TARGET_VELOCITY] / wanted, s[TARGET_VELOCITY + 1] / wanted
+    along = wish_x * ux + wish_y * uy
+    across = max(-lean, min(lean, wish_y * ux - wish_x * uy))
+    most = math.sqrt(max(lean * lean - across * across, 0.0))
+    along = max(-most, min(most, along))
+    return along * ux - across * uy, along * uy + across * ux
 
 
 @kernel
