@@ -82,6 +82,9 @@ def step(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -> None:
         k[SLOT] = 0
         k[STALE] = -1
         s[PACE] = 1.0
+        if s[TARGET_VELOCITY] != 0.0 or s[TARGET_VELOCITY + 1] != 0.0:  # told anew on its way, it stops where it can
+            for axis in range(2):
+                s[TARGET + axis], s[TARGET_VELOCITY + axis] = s[POSITION + axis], s[VELOCITY + axis]
     steps = round(dt / _STEP_S)
     h = dt / steps
     for _ in range(steps):
