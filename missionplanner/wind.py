@@ -81,8 +81,13 @@ def braking_m_s2(model: MotionModel, wind_m_s: float) -> float:
 
 
 def falls_behind(model: MotionModel, speed_m_s: float) -> bool:
-    """Return whether a copter commanded a ground speed may be slower than that on some course."""
-    return not calm(model) and speed_m_s + math.hypot(*model.wind_m_s) > airspeed_limit_m_s(model)
+    """Return whether a copter's target brakes from a speed that it may not make itself, on some course.
+
+    PX4's trajectory does; ArduCopter stops from the speed it flies (AC_PosControl, get_stopping_point).
+    """
+    if calm(model) or model.vehicle_class == "plane" or model.autopilot == "ardupilot":
+        return False
+    return speed_m_s + math.hypot(*model.wind_m_s) > airspeed_limit_m_s(model)
 
 
 def along_m_s(model: MotionModel, airspeed_m_s: float, way_m: FloatArray) -> FloatArray:
