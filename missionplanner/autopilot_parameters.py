@@ -62,6 +62,10 @@ class Parameter:
         """All its names: a vehicle has one of them."""
         return tuple(spelling.name for spelling in self.spellings)
 
+    def allows(self, value: float) -> bool:
+        """Return whether a value of the field is in range, as single precision keeps it."""
+        return same(value, self.low) or same(value, self.high) or self.low < value < self.high
+
 
 class ParameterError(ValueError):
     """A parameter's value is none, or contradicts another; ``name`` is the parameter's."""
@@ -177,9 +181,9 @@ def changed(kind: Kind, before: Mapping[str, float], after: Mapping[str, float])
     for name, value in after.items():
         found = find(kind, name)
         if found is not None and before.get(name) != value:
-            meant = value / found[1].per_unit
-            if found[0].low <= meant <= found[0].high:
-                changes[found[0].field] = meant
+            parameter, spelling = found
+            if parameter.allows(value / spelling.per_unit):
+                changes[parameter.field] = value / spelling.per_unit
     return changes
 
 
@@ -191,7 +195,7 @@ def differences(kind: Kind, model: object, values: Mapping[str, float]) -> tuple
         for spelling in parameter.spellings:
             value = values.get(spelling.name)
             if value is not None and not parameter.sent and not same(value / spelling.per_unit, planned):
-                plannable = parameter.low <= value / spelling.per_unit <= parameter.high
+                plannable = parameter.allows(value / spelling.per_unit)
                 found.append(Difference(spelling.name, planned * spelling.per_unit, value, plannable))
     return tuple(found)
 
@@ -216,7 +220,7 @@ def shown(value: float) -> str:
 def _meant(parameter: Parameter, spelling: Spelling, value: float) -> float:
     """Return a parameter's value in its field's unit."""
     meant = value / spelling.per_unit
-    if not parameter.low <= meant <= parameter.high:
+    if not parameter.allows(meant):
         low, high = (shown(limit * spelling.per_unit) for limit in (parameter.low, parameter.high))
         raise ParameterError(spelling.name, f"expected {spelling.name} between {low} and {high}, got {shown(value)}")
     if spelling.whole and value != round(value):
