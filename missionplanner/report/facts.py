@@ -179,7 +179,8 @@ def along_path_m(path_m: FloatArray, positions_m: FloatArray, window_m: float = 
     out = np.empty(len(positions_m))
     segment = 0
     for i, position in enumerate(positions_m):
-        last = int(np.searchsorted(run, run[segment] + window_m)) + 1
+        reached_m = out[i - 1] if i > 0 else 0.0
+        last = int(np.searchsorted(run, reached_m + window_m)) + 1
         window = slice(segment, min(max(last, segment + 2), len(steps)))
         away = position - begins[window]
         share = np.clip((away * steps[window]).sum(axis=1) / squares[window], 0.0, 1.0)

@@ -571,6 +571,13 @@ def test_vehicles_that_meet_in_flight_are_trouble(scene: Scene, plan: FleetPlan)
     assert any("5.0 m from each other" in trouble for trouble in facts.troubles)
 
 
+def test_a_way_whose_legs_share_their_ends_is_followed_to_its_end() -> None:
+    ends = np.array([[0.0, 0.0, 50.0], [900.0, 0.0, 60.0], [1300.0, 500.0, 70.0], [1300.0, 520.0, 70.0]])
+    doubled = np.repeat(ends, 2, axis=0)  # as legs are put together
+    positions = np.concatenate([np.linspace(a, b, 40, endpoint=False) for a, b in pairwise(ends)])
+    np.testing.assert_allclose(along_path_m(doubled, positions), along_m(positions), atol=1e-6)
+
+
 def test_places_are_found_in_order_on_a_path_that_crosses_itself() -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 400)
     eight = np.stack([200 * np.sin(turn), 100 * np.sin(2 * turn), np.full(turn.shape, 50.0)], axis=-1)
