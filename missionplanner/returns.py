@@ -16,8 +16,9 @@ A copter that is told to return (by hand, low battery, lost link) brakes, climbs
 A plane turns towards home, at any altitude between its own and the return height, within two turn radii of the way.
 
 In wind, a copter brakes with what is left of its lean limit when the strongest wind allowed for pushes it on; where
-PX4 may be slower than commanded, its trajectory brakes from the speed commanded all the same. On its way home it is off by what the wind it is planned with pushes it aside at most, whatever its course. A plane is carried with the
-strongest wind for as long as it takes to turn once around.
+PX4 may be slower than commanded, its trajectory brakes from the speed commanded all the same. On its way home it is off
+by what the wind it is planned with pushes it aside at most, whatever its course. A plane is carried with the strongest
+wind for as long as it takes to turn once around.
 
 Pieces of the flight form trees; each node is a segment that all stopping ways of its piece are within a stated reach
 of. Nodes are looked into until decided: nothing is sampled.
