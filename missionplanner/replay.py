@@ -27,6 +27,7 @@ _GRID_S = 0.25
 _GRID_MAX = 4000  # places on the plan, and flown positions, that are weighed against each other
 _STAND_M_S = 0.05  # a second off the plan's time weighs as much as these metres: it decides where the plan stands still
 _TANGENT_S = 0.5
+_TIMED_M_S = 0.5  # where the plan is slower, a metre off the path is seconds off the time: errors there tell nothing
 _CHUNK = 2_000_000
 
 HowReached = Literal["reported", "passed"]
@@ -60,6 +61,7 @@ class VehicleReplay:
     above_m: FloatArray  # (S,)
     along_error_m: FloatArray  # (S,) how far ahead of where the plan has it at that time; negative: behind
     position_error_m: FloatArray  # (S,) distance from where the plan has it at that time
+    timed: npt.NDArray[np.bool_]  # (S,) whether the plan moves there, so that the place tells the time
     waypoints: tuple[WaypointTime, ...]
 
     @property
@@ -87,6 +89,7 @@ class VehicleReplay:
     def as_json(self) -> dict[str, Any]:
         """Return its figures as plain JSON values; of the errors along the way, those before its arrival."""
         en_route = self.en_route
+        timed = en_route & self.timed if (en_route & self.timed).any() else en_route
         return {
             "name": self.plan.name,
             "sysid": self.plan.sysid,
@@ -99,7 +102,7 @@ class VehicleReplay:
             "above_m": _spread(self.above_m[en_route]),
             "off_path_m": _spread(self.off_path_m[en_route]),
             "along_track_m": _spread(self.along_error_m[en_route]),
-            "time_error_s": _spread(self.time_error_s[en_route]),
+            "time_error_s": _spread(self.time_error_s[timed]),
             "position_error_m": _spread(self.position_error_m[en_route]),
             "waypoints": [
                 {
@@ -188,7 +191,7 @@ def replay_vehicle(plan: VehiclePlan, flown: FlownVehicle, reached_s: Mapping[in
     t_s, position_m = track.t_s, track.position_m
     planned_s = match(planned, track)
     off_m = position_m - planned.at(planned_s)
-    ahead_m = (planned.at(planned_s + _TANGENT_S) - planned.at(planned_s - _TANGENT_S))[:, :2]
+    ahead_m = planned.at(planned_s + _TANGENT_S) - planned.at(planned_s - _TANGENT_S)
     side = ahead_m[:, 1] * off_m[:, 0] - ahead_m[:, 0] * off_m[:, 1]
     along = _along_m(planned)
     at_m, due_m = np.interp(planned_s, planned.t_s, along), np.interp(t_s, planned.t_s, along)
@@ -202,6 +205,7 @@ def replay_vehicle(plan: VehiclePlan, flown: FlownVehicle, reached_s: Mapping[in
         above_m=off_m[:, 2],
         along_error_m=at_m - due_m,
         position_error_m=np.linalg.norm(position_m - planned.at(t_s), axis=1),
+        timed=np.linalg.norm(ahead_m, axis=1) >= 2.0 * _TANGENT_S * _TIMED_M_S,
         waypoints=_waypoint_times(plan, t_s, planned_s, reached_s),
     )
 

@@ -51,7 +51,7 @@ def ways(fleet: FleetReplay) -> Figure:
 def errors(fleet: FleetReplay) -> Figure:
     """Draw every vehicle's time, along-track, cross-track and height errors over time."""
     panels: list[tuple[str, str, Callable[[VehicleReplay], FloatArray]]] = [
-        ("late (s)", "s", lambda v: v.time_error_s),
+        ("late (s)", "s", lambda v: np.where(v.timed, v.time_error_s, np.nan)),
         ("ahead (m)", "m", lambda v: v.along_error_m),
         ("right of path (m)", "m", lambda v: v.cross_track_m),
         ("above path (m)", "m", lambda v: v.above_m),
@@ -63,7 +63,7 @@ def errors(fleet: FleetReplay) -> Figure:
             colour = style.vehicle_colour(i)
             shown = v.en_route
             axes.plot(
-                v.t_s[shown], values(v)[shown], color=colour, linewidth=1.1, linestyle=style.vehicle_dashes(i), zorder=3
+                v.t_s[shown], values(v)[shown], color=colour, linewidth=0.9, linestyle=style.vehicle_dashes(i), zorder=3
             )
             if row == 0:
                 _waypoint_dots(axes, v, colour)
@@ -77,7 +77,7 @@ def errors(fleet: FleetReplay) -> Figure:
         else:
             axes.set_xlabel("time since mission start (s)")
     _names(figure, fleet, 0.975)
-    words = "up to each arrival; dots: at waypoints"
+    words = "up to each arrival; late: while the plan moves; dots: at waypoints"
     figure.text(0.985, 0.975, words, color=style.MUTED, fontsize=7.5, ha="right", va="center")
     return figure
 
@@ -148,8 +148,8 @@ def _waypoint_dots(axes: Axes, v: VehicleReplay, colour: str) -> None:
 
 def _span(axes: Axes, fleet: FleetReplay, values: Callable[[VehicleReplay], FloatArray], unit: str) -> None:
     """Let an axis span all values, but no less than what can be told from noise."""
-    found = [values(v)[v.en_route] for v in fleet.vehicles]
-    low, high = min(float(f.min()) for f in found), max(float(f.max()) for f in found)
+    found = [*(values(v)[v.en_route] for v in fleet.vehicles), np.zeros(1)]
+    low, high = float(np.nanmin(np.concatenate(found))), float(np.nanmax(np.concatenate(found)))
     if unit == "s":
         late = [w.error_s for v in fleet.vehicles for w in v.waypoints if w.error_s is not None]
         low, high = min([low, *late]), max([high, *late])
