@@ -237,7 +237,7 @@ def _replay_tiles(fleet: FleetReplay) -> Iterator[_Tile]:
 
 def _replay_row(index: int, v: VehicleReplay) -> _ReplayRow:
     on = v.en_route
-    late, side, along = v.time_error_s[on & v.timed], np.abs(v.cross_track_m[on]), np.abs(v.along_error_m[on])
+    late, side, along = np.abs(v.time_error_s[on & v.timed]), np.abs(v.cross_track_m[on]), np.abs(v.along_error_m[on])
     arrival_s, error_s = v.flown.arrival_s, v.arrival_error_s
     return _ReplayRow(
         v.plan.name,
@@ -246,7 +246,7 @@ def _replay_row(index: int, v: VehicleReplay) -> _ReplayRow:
             f"{v.plan.arrival_s:.1f}",
             "never" if arrival_s is None else f"{arrival_s:.1f}",
             "" if error_s is None else f"{error_s:+.2f}",
-            f"{late[np.argmax(np.abs(late))]:+.2f}" if late.size else "",
+            f"{np.percentile(late, 95):.2f}" if late.size else "",
             f"{np.percentile(side, 95):.2f}",
             f"{side.max():.2f}",
             f"{np.abs(v.above_m[on]).max():.2f}",
