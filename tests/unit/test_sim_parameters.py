@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.endpoint import in_process_pair
 from adapters.mission_items import MissionItem
 from missionplanner.autopilot_parameters import Kind, Parameter, held, parameters, value_of, with_values
 from missionplanner.geodesy import FloatArray
@@ -60,44 +59,41 @@ def returning(kind: Kind) -> list[MissionItem]:
     )
 
 
-def flown(vehicle: SimVehicle, sets: dict[str, float], duration_s: float) -> FloatArray:
-    """Return the positions of a vehicle that is set these parameters on the ground and then sent on its mission."""
-    ground = Ground(vehicle.autopilot, vehicle.vehicle_class)
-    ground.fleet = SimFleet([vehicle], seed=3)
-    theirs, ground._pipe = in_process_pair()
-    ground.fleet.attach(theirs)
-    ground.vehicle = ground.fleet.links[0]
-    ground.autopilot = ground.vehicle.autopilot
-    for name, value in sets.items():
-        kind = mavlink.MAV_PARAM_TYPE_INT32 if isinstance(value, int) else mavlink.MAV_PARAM_TYPE_REAL32
-        [answer] = ground.send(mavlink.MAVLink_param_set_message(1, 1, name.encode(), value, kind))
-        assert answer.param_value == value
-    assert ground.upload(returning((vehicle.autopilot, vehicle.vehicle_class))) == mavlink.MAV_MISSION_ACCEPTED
-    if vehicle.autopilot == "ardupilot":
-        ground.mode("GUIDED" if vehicle.vehicle_class == "copter" else "FBWA")
-        assert ground.arm() == mavlink.MAV_RESULT_ACCEPTED
-    assert ground.start() == mavlink.MAV_RESULT_ACCEPTED
+def flown(vehicles: list[SimVehicle], sets: list[dict[str, int | float]], duration_s: float) -> FloatArray:
+    """Return positions (N, T, 3) of vehicles that are set parameters on the ground, each its own, then sent off at once."""
+    fleet = SimFleet([replace(vehicle, sysid=k) for k, vehicle in enumerate(vehicles, start=1)], seed=3)
+    for link, values in zip(fleet.links, sets, strict=True):
+        autopilot = link.autopilot
+        autopilot.parameters.update(values)
+        kind = autopilot.personality
+        autopilot.set_mission(returning((kind.autopilot, kind.vehicle_class)), None, 0.0)
+        if kind.autopilot == "ardupilot":
+            autopilot.set_mode(kind.mode("GUIDED" if kind.vehicle_class == "copter" else "FBWA"), 0.0)
+            assert autopilot.arm(0.0) == mavlink.MAV_RESULT_ACCEPTED
+        assert autopilot.start_mission(0.0) == mavlink.MAV_RESULT_ACCEPTED
     track = []
     for _ in range(round(duration_s / TICK_S)):
-        ground.fleet.step()
-        track.append(ground.autopilot.position_m)
-    return np.array(track)
+        fleet.step()
+        track.append(fleet.navigator.position_m.copy())
+    return np.array(track).transpose(1, 0, 2)
 
 
 @EACH
 def test_what_is_set_flies_like_what_was_built_in(kind: Kind) -> None:
     autopilot, vehicle_class = kind
     [vehicle] = sim_vehicles(1, HOME, autopilot=autopilot, vehicle_class=vehicle_class)
-    duration_s = 600.0 if vehicle_class == "plane" else 240.0
-    usual = flown(vehicle, {}, duration_s)
+    vehicles, sets, names = [vehicle], [{}], []
     for parameter in parameters(kind):
         if parameter.sent or parameter.field in _UNSEEN:
             continue
         model = with_values(vehicle.motion, {parameter.field: other_value(parameter)})
-        name, value = next(item for item in held(kind, model).items() if item[0] == parameter.name)
-        assert value != held(kind, vehicle.motion)[name]
-        set_so = flown(vehicle, {name: value}, duration_s)
-        built_so = flown(replace(vehicle, motion=model), {}, duration_s)
+        value = held(kind, model)[parameter.name]
+        assert value != held(kind, vehicle.motion)[parameter.name]
+        vehicles += [vehicle, replace(vehicle, motion=model)]
+        sets += [{parameter.name: value}, {}]
+        names.append(parameter.name)
+    usual, *others = flown(vehicles, sets, 600.0 if vehicle_class == "plane" else 240.0)
+    for name, set_so, built_so in zip(names, others[::2], others[1::2], strict=True):
         np.testing.assert_allclose(set_so, built_so, atol=1e-6, err_msg=name)
         assert np.abs(set_so - usual).max() > 0.02, f"{name} changes nothing"
 
