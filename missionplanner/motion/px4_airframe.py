@@ -87,14 +87,15 @@ def follow_target(s: FloatArray, h: float, rise_max: float) -> None:
     s[FELT] = s[THRUST] * push - drag * air_x
     s[FELT + 1] = s[THRUST + 1] * push - drag * air_y
     s[FELT + 2] = s[LIFT] - drag * s[VELOCITY + 2]
+    begin_x, begin_y = s[POSITION], s[POSITION + 1]
     for axis in range(3):
         before = s[VELOCITY + axis]
         s[VELOCITY + axis] += s[FELT + axis] * h
         s[POSITION + axis] += 0.5 * (before + s[VELOCITY + axis]) * h
-    if s[POSITION + 2] < s[GROUND]:
-        s[POSITION + 2] = s[GROUND]
-        s[VELOCITY + 2] = max(s[VELOCITY + 2], 0.0)
-        s[FELT + 2] = 0.0
+    if s[POSITION + 2] < s[GROUND]:  # it stands, whatever the wind
+        s[POSITION], s[POSITION + 1], s[POSITION + 2] = begin_x, begin_y, s[GROUND]
+        for axis in range(3):
+            s[VELOCITY + axis] = s[FELT + axis] = 0.0
 
 
 @kernel
