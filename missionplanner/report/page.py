@@ -168,6 +168,9 @@ def write_replay(
     MissionError
         The folder cannot be written to.
     """
+    near = fleet.separation
+    if near is not None and not near.ok:
+        troubles = (*troubles, f"{near.what} came within {near.distance_m:.1f} m; {near.required_m:g} m are required")
     return _write(
         folder / REPLAY_NAME,
         _replay_pictures(fleet),
@@ -204,6 +207,8 @@ def _replay_pictures(fleet: FleetReplay) -> Iterator[_Picture]:
 
 def _replay_headline(fleet: FleetReplay, troubles: Sequence[str]) -> str:
     known = [v for v in fleet.vehicles if v.arrival_error_s is not None]
+    if fleet.separation is not None and not fleet.separation.ok:
+        return "Vehicles came too close to one another."
     if troubles:
         return "Not everything could be replayed."
     if len(known) < len(fleet.vehicles):
