@@ -60,7 +60,7 @@ def returning(kind: Kind) -> list[MissionItem]:
 
 
 def flown(vehicles: list[SimVehicle], sets: list[dict[str, int | float]], duration_s: float) -> FloatArray:
-    """Return positions (N, T, 3) of vehicles that are set parameters on the ground, each its own, then sent off at once."""
+    """Return positions (N, T, 3) of vehicles, each set its own parameters on the ground, all sent off at once."""
     fleet = SimFleet([replace(vehicle, sysid=k) for k, vehicle in enumerate(vehicles, start=1)], seed=3)
     for link, values in zip(fleet.links, sets, strict=True):
         autopilot = link.autopilot
