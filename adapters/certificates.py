@@ -9,6 +9,7 @@ from pathlib import Path
 from adapters.fleet_link import Downloaded
 from adapters.mission_items import FRAME_MISSION, MissionItem, items_sha256, plan_items, wire_to_degrees
 from adapters.sorties import mission_file_notes, mission_file_rally_points, read_mission_file, read_sortie
+from adapters.vehicle_parameters import compared
 from missionplanner import proof
 from missionplanner.certificate import Certificate, Finding
 from missionplanner.errors import InfeasibleError, MissionError
@@ -32,6 +33,7 @@ class Held:
     path: Path | None = None  # of the file it was read from
     notes: tuple[str, ...] = ()  # what of it was not judged
     return_remarks: tuple[str, ...] = ()  # why its vehicle would return otherwise than straight home at that height
+    motion_remarks: tuple[str, ...] = ()  # why its vehicle would not fly as is predicted
 
 
 def planned(plan: FleetPlan) -> list[Held]:
@@ -65,6 +67,12 @@ def certify(scene: Scene, missions: Sequence[Held], *, arrival_s: float | None =
         Finding("return", held.name, False, remark, remedy, unit="", waived=waived[held.name])
         for held in missions
         for remark in held.return_remarks
+    ]
+    remedy = "set it on the vehicle, or say so in the mission file's parameters"
+    otherwise += [
+        Finding("understood", held.name, False, remark, remedy, unit="")
+        for held in missions
+        for remark in held.motion_remarks
     ]
     return replace(certificate, findings=(*certificate.findings, *otherwise))
 
@@ -193,7 +201,17 @@ def read_vehicles(question: Mission, folder: Path, downloaded: Mapping[int, Down
         home_m = _task(scene, name).home_m
         if home is not None:
             home_m = scene.frame.to_local(home.lat_deg, home.lon_deg, home.alt_amsl_m)
-        missions.append(Held(name, found.items, home_m, found.return_height_m, return_remarks=found.remarks))
+        comparison = compared(name, _task(scene, name).motion, found.parameters)
+        missions.append(
+            Held(
+                name,
+                found.items,
+                home_m,
+                found.return_height_m,
+                return_remarks=found.remarks,
+                motion_remarks=(*map(str, comparison.differences), *comparison.unheld),
+            )
+        )
     return scene, missions
 
 

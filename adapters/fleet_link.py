@@ -32,7 +32,7 @@ from adapters.ground_station import (
 from adapters.mission_items import TAKEOFF, WAYPOINT, MissionItem, goal_seq, plan_items, wire_to_degrees
 from adapters.mission_protocol import MissionUpload, Party, mismatches
 from adapters.pace_keeper import PaceKeeper, Told
-from adapters.parameter_protocol import mismatch
+from adapters.parameter_protocol import ParameterValue, mismatch
 from adapters.return_settings import Setting, return_settings
 from adapters.telemetry_log import FleetLog
 from adapters.vehicle_parameters import Comparison, compared, reading_motion
@@ -739,6 +739,7 @@ class Downloaded:
     home: GeoPoint | None  # None: it has none yet
     return_height_m: float
     remarks: tuple[str, ...]
+    parameters: Mapping[str, ParameterValue]  # those that decide how it moves
 
 
 def download_missions(
@@ -793,6 +794,7 @@ def _finding(
     station: _Listener, peer: _Stranger, progress: TransferProgress | None, found: dict[int, Downloaded]
 ) -> Steps:
     autopilot, vehicle_class = peer.known_kind()
+    parameters = yield from reading_motion(station, peer, autopilot, vehicle_class)
 
     def tell(done: int, total: int | None) -> None:
         if progress is not None and total is not None:
@@ -820,7 +822,7 @@ def _finding(
     while result == mavlink.MAV_RESULT_ACCEPTED and peer.home is None and station.clock.now_s() < end_s:
         yield
     found[peer.party.sysid] = Downloaded(
-        peer.party.sysid, autopilot, vehicle_class, items, peer.home, height_m, tuple(remarks)
+        peer.party.sysid, autopilot, vehicle_class, items, peer.home, height_m, tuple(remarks), parameters
     )
 
 

@@ -192,3 +192,20 @@ def test_a_ground_stations_own_library_reads_and_sets_them(
         assert fleet.links[0].autopilot.default_speed_m_s == 7.0
     finally:
         master.close()
+
+
+def test_what_vehicles_hold_is_not_proven_where_they_move_otherwise(
+    planned: Path, tmp_path: Path, cli: Cli, serving: Callable[[SimFleet], int]
+) -> None:
+    plan = plan_of(planned)
+    fleet = SimFleet(planned_vehicles(plan), frame=plan.frame)
+    url = f"udpin:127.0.0.1:{serving(fleet)}"
+    assert cli("upload", planned, "--connect", url).code == 0
+    mission = tmp_path / "m.yaml"
+    mission.write_text(json.dumps(json.loads((planned / PLAN_NAME).read_text())["mission"]))
+    assert cli("check", "--mission", mission, "--connect", url).code == 0
+    fleet.links[1].autopilot.parameters["WPNAV_RADIUS"] = 700.0
+    outcome = cli("check", "--mission", mission, "--connect", url, "--json")
+    assert outcome.code == 3
+    told = [f for f in outcome.json["findings"] if f["check"] == "understood" and not f["proven"]]
+    assert [(f["vehicle"], f["detail"]) for f in told] == [("bravo", "WPNAV_RADIUS is 700, planned with 200")]
