@@ -39,6 +39,7 @@ from missionplanner.motion.state import (
     VELOCITY,
     VERTICAL,
     WAYPOINT,
+    WIND,
     IntArray,
     initial,
 )
@@ -177,6 +178,8 @@ class Navigator:
         self.follow(0, *route)
         rates = self._floats[0, [CLIMB, DESCENT]]
         slowest = min(float(route.speed_m_s.min()), float(route.vertical_m_s.min()), *rates)
+        if np.any(self._floats[0, WIND : WIND + 2]):  # against it, legs are flown if at least so much is left
+            slowest = min(slowest, 1.0)
         length_m = float(np.linalg.norm(np.diff(np.vstack([self.position_m, route.points_m]), axis=0), axis=1).sum())
         longest_s = 60.0 * (1 + len(route.points_m)) + float(route.hold_s.sum()) + 3.0 * length_m / slowest
         flown = np.empty((int(longest_s / TICK_S), 3))
