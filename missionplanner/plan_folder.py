@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from missionplanner import planner, proof
+from missionplanner import planner, proof, wind
 from missionplanner.autopilot_parameters import differences, held, shown
 from missionplanner.certificate import Certificate
 from missionplanner.errors import MissionError
@@ -381,7 +381,10 @@ def _misfit(task: VehicleTask, record: _VehicleRecord, delay_min_s: float) -> st
         missed = None if found[-1] == len(waypoints_m) - 1 else last
     if missed is not None:
         return f"waypoints from the top of the take-off through every stop to the goal, got none at {names[missed]}"
-    return None
+    problem = wind.storm_problem(task)
+    for way_m, speed_m_s in zip(np.diff(waypoints_m, axis=0), record.speeds_m_s, strict=True):
+        problem = problem or wind.leg_problem(task.limits, task.motion, way_m, speed_m_s)
+    return problem and f"a wind that it can be flown in, got {problem}"
 
 
 def _path(record: _VehicleRecord) -> PlannedPath:
