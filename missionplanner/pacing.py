@@ -13,17 +13,16 @@ import math
 from collections import OrderedDict, deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import combinations
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from missionplanner import energy, proof, timing
 from missionplanner.geodesy import FloatArray
-from missionplanner.motion.state import DRAG, DRAG_SQUARED, LEAN, initial
 from missionplanner.plan import FleetPlan, Trajectory
 from missionplanner.scene import Scene
 from missionplanner.vehicle import Ending, MotionModel, true_airspeed
+from missionplanner.wind import airspeed_limit_m_s
 
 SPEED_STEP_M_S = 1e-3
 """Commanded speeds are whole multiples of this."""
@@ -75,12 +74,20 @@ class Course:
     arrival_s: float  # planned
     speed_min_m_s: float
     speed_max_m_s: float
-    latest_s: float = math.inf  # arrival up to which its battery surely lasts
+    spare_s: FloatArray | None = None  # (S,) longer than planned its battery surely lasts, from each planned sample on
 
     def speeds(self, factor: float) -> FloatArray:
         """Return the speeds (W - 1,) commanded when the planned ones are scaled."""
         speeds: FloatArray = np.clip(factor * self.speed_m_s, self.speed_min_m_s, self.speed_max_m_s)
         return speeds
+
+    def latest_s(self, place: Place) -> float:
+        """Return up to which arrival its battery surely lasts, as a vehicle that has come to a place."""
+        if self.spare_s is None:
+            return math.inf
+        at_s, _ = times_at(self, self.planned, self.reached_s, place)
+        sample = int(np.searchsorted(self.planned.t_s, at_s, side="right")) - 1
+        return self.arrival_s + float(self.spare_s[max(sample, 0)])
 
     @property
     def factors(self) -> tuple[float, float]:
@@ -104,30 +111,31 @@ def course(scene: Scene, plan: FleetPlan, index: int) -> Course:
         arrival_s=vehicle.arrival_s,
         speed_min_m_s=limits.speed_min_m_s,
         speed_max_m_s=limits.speed_max_m_s,
-        latest_s=vehicle.arrival_s + _spare_s(scene, plan, index),
+        spare_s=_spare_s(scene, plan, index),
     )
 
 
-def _spare_s(scene: Scene, plan: FleetPlan, index: int) -> float:
-    """Return how much longer than planned a vehicle's battery surely lasts; infinite where nothing is known of it."""
+def _spare_s(scene: Scene, plan: FleetPlan, index: int) -> FloatArray | None:
+    """Return how much longer than planned a vehicle's battery surely lasts from each sample of its flight on (S,).
+
+    To the end of its mission, and home from everywhere on the way, with its reserve. None: nothing is known of it.
+    """
     vehicle, settings = plan.vehicles[index], scene.mission.vehicles[index]
     model = energy.energy_model(settings, scene.mission.air_m_s)
     if model is None:
-        return math.inf
-    findings = () if plan.certificate is None else plan.certificate.findings
-    spare = [
-        finding.required - finding.value
-        for finding in findings
-        if finding.check == "energy"
-        and finding.vehicle == vehicle.name
-        and finding.unit == ""
-        and finding.value is not None
-        and finding.required is not None
-    ]
-    wind_m_s = (scene.mission.wind_max_m_s or 0.0) + math.hypot(*scene.mission.air_m_s)
+        return None
+    wind_m_s = scene.mission.wind_max_m_s or 0.0
+    flight = vehicle.trajectory
+    used = energy.used_share(model, flight, wind_m_s, vehicle.start_delay_s)
+    need = np.full(len(used), used[-1])
+    if scene.mission.fleet.direct_return != "waived":
+        home = energy.return_share(model, flight, vehicle.home_m, vehicle.motion.return_height_m, wind_m_s)
+        need = np.where(flight.t_s <= vehicle.reached_s[-1], np.maximum(used + home, need), need)
+    from_here_on = np.maximum.accumulate(need[::-1])[::-1]
     high_m = float(vehicle.waypoints_m[:, 2].max())
-    share_s = float(model.power_share(vehicle.speed_m_s, 0.0, wind_m_s, high_m))
-    return max(min(spare, default=0.0), 0.0) / share_s
+    share_s = float(model.power_share(vehicle.speed_m_s, 0.0, wind_m_s + math.hypot(*scene.mission.air_m_s), high_m))
+    spare: FloatArray = np.maximum(1.0 - model.reserve_share - from_here_on, 0.0) / share_s
+    return spare
 
 
 def pacer(
@@ -275,11 +283,7 @@ def airspeed_max_m_s(model: MotionModel, alt_amsl_m: float, speed_m_s: float) ->
     """
     if model.vehicle_class == "plane":
         return speed_m_s * true_airspeed(alt_amsl_m)
-    row, _ = initial(model, np.zeros(3))
-    squared, linear = float(row[DRAG_SQUARED]), float(row[DRAG])
-    if squared <= 0.0:
-        return float(row[LEAN]) / linear
-    return (math.sqrt(linear**2 + 4.0 * squared * float(row[LEAN])) - linear) / (2.0 * squared)
+    return airspeed_limit_m_s(model)
 
 
 # ---------------------------------------------------------------------------------------------------------------------
@@ -318,6 +322,7 @@ class Pace:
     latest_s: float | None
     speed_m_s: float | None  # commanded
     at_s: float | None  # time of the sighting
+    fixed: bool = False  # whether nothing can be changed of its arrival any more
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,7 +390,7 @@ _STEADY_M_S = 0.4
 _HELD_UP_M_S = 0.4
 _GUST_EVERY_S = 5.0
 _FROM_CORNERS_M = 25.0
-_ROOM_S = 0.5  # what going on after a stop needs at least
+_ROOM_S = 0.5  # how early or late any one may be before it is told that vehicles come too close
 _TOLD_S = 5.0  # who is earlier than that is told
 _AFTER_A_STOP = 1.1  # times the least speed
 _NEAR_S = 0.1  # how well a speed solves for an arrival
@@ -498,6 +503,9 @@ class Pacer:
             remarks.append(problem)
             if not trims:
                 trims = yield from self._stops(paces, delays)
+        if not trims:
+            tight = self._too_close({}, _ROOM_S)
+            remarks.append("" if tight is None else f"as they fly now, {tight} of each other")
         delay_s = None if delays is None or not self._together else delays[0]
         if delay_s is not None and self.correct:
             remarks += [_too_early(pace, delay_s) for pace in paces]
@@ -542,20 +550,32 @@ class Pacer:
             speed_m_s = float(course.speeds(tracked.factor)[tracked.place.leg - 1])
         if state == "arrived":
             at_s = seen.t_s if seen.arrival_s is None else seen.arrival_s
-            return Pace(course.name, state, at_s - course.arrival_s, course.arrival_s, at_s, at_s, at_s, None, seen.t_s)
+            late_s = at_s - course.arrival_s
+            return Pace(course.name, state, late_s, course.arrival_s, at_s, at_s, at_s, None, seen.t_s, fixed=True)
         low, high = course.factors
         if state == "flying":
             self._learn(tracked)
         else:
             tracked.before = None
         present_s = self._arrival_s(tracked, tracked.factor)
-        if present_s - seen.t_s <= self.rules.freeze_s or tracked.failures >= self.rules.tries:
-            earliest_s = latest_s = present_s
-        else:
+        earliest_s = latest_s = present_s
+        fixed = present_s - seen.t_s <= self.rules.freeze_s or tracked.failures >= self.rules.tries
+        if not fixed:
             earliest_s = min(present_s, self._arrival_s(tracked, high))
-            latest_s = max(present_s, min(self._arrival_s(tracked, low), course.latest_s))
+            latest_s = max(present_s, min(self._arrival_s(tracked, low), course.latest_s(tracked.place)))
         late_s = lateness_s(course, tracked.place, seen.t_s)
-        return Pace(course.name, state, late_s, course.arrival_s, present_s, earliest_s, latest_s, speed_m_s, seen.t_s)
+        return Pace(
+            course.name,
+            state,
+            late_s,
+            course.arrival_s,
+            present_s,
+            earliest_s,
+            latest_s,
+            speed_m_s,
+            seen.t_s,
+            fixed,
+        )
 
     def _learn(self, tracked: _Tracked) -> None:
         """Compare the time that passed since the last look with what the model takes for the same way."""
@@ -699,14 +719,13 @@ class Pacer:
     def _delays(self, paces: Sequence[Pace]) -> list[float] | None:
         """Return by how much each shall arrive later than planned; None: nobody is left to be brought together."""
         taking_part = [p for p in paces if p.arrival_s is not None and p.state not in ("away", "unheard")]
-        flying = [p for p in taking_part if p.state != "arrived"]
-        if not flying:
+        if all(p.state == "arrived" for p in taking_part):
             return None
         if not self._together:
             windows = [(_less(p.earliest_s, p), _less(p.latest_s, p)) for p in paces]
             return [common_delay([window]) for window in windows]
-        fixed = [p for p in taking_part if p.earliest_s == p.latest_s]
-        free = [(_less(p.earliest_s, p), _less(p.latest_s, p)) for p in flying if p not in fixed]
+        fixed = [p for p in taking_part if p.fixed]
+        free = [(_less(p.earliest_s, p), _less(p.latest_s, p)) for p in taking_part if not p.fixed]
         return [common_delay(free, [_less(p.arrival_s, p) for p in fixed])] * len(paces)
 
     def _corrections(
@@ -783,7 +802,8 @@ class Pacer:
         """
         low, high = tracked.course.factors
         then_s = self._arrival_s(tracked, min(_AFTER_A_STOP * low, high))
-        return min(pace.planned_s + delay_s, tracked.course.latest_s) - then_s
+        assert tracked.place is not None
+        return min(pace.planned_s + delay_s, tracked.course.latest_s(tracked.place)) - then_s
 
     def _leg(self, tracked: _Tracked) -> int:
         """Return which of the speeds a vehicle flies at."""
@@ -858,15 +878,16 @@ class Pacer:
                 whose.append(k)
                 position_m = np.array(tracked.seen.position_m, dtype=float)
                 flights.append(Trajectory(np.array([tracked.seen.t_s]), position_m[None]))
-        for one, other in combinations(range(len(flights)), 2):
+
+        def required_m(one: int, other: int) -> float:
             i, j = whose[one], whose[other]
-            if i == j:
-                continue
-            required_m = self._required_m(i, j)
-            slack_s = timing.lateness_slack(flights[one], flights[other], required_m, needed_s)
-            if slack_s < needed_s - 1e-9 or slack_s <= 0.0:
-                names = [self._tracked[k].course.name for k in (i, j)]
-                return f"{names[0]} and {names[1]} within {required_m:g} m ({slack_s:.1f} s from it, of {needed_s:.1f})"
+            return 0.0 if i == j else self._required_m(i, j)
+
+        for tight in timing.least_slack(flights, required_m, needed_s)[:1]:
+            if tight.slack_s < needed_s - 1e-9:
+                i, j = whose[tight.first], whose[tight.second]
+                names = f"{self._tracked[i].course.name} and {self._tracked[j].course.name}"
+                return f"{names} within {self._required_m(i, j):g} m"
         return None
 
     def _remark(self, pace: Pace, *, stopped: bool) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from adapters.endpoint import Endpoint, InProcessEndpoint, Peer, in_process_pair
 from adapters.fleet_link import FleetLink
 from adapters.telemetry_log import FleetLog
 from missionplanner.plan import FleetPlan
-from sim.fleet import LockstepClock, SimFleet, SimVehicle
+from sim.fleet import LockstepClock, SimFleet, SimVehicle, planned_vehicles
 
 Edit = Callable[[Any], Any]
 """Takes a message, returns it (changed or not), or None to lose it."""
@@ -64,12 +64,15 @@ class MeddledEndpoint:
 class Rig:
     """Vehicle k of the plan behind pipe k."""
 
-    def __init__(self, plan: FleetPlan, *, log: FleetLog | None = None, **fleet_options: Any) -> None:
-        vehicles = [
-            SimVehicle(v.sysid, v.autopilot, v.vehicle_class, plan.frame.geo_point(v.home_m), v.motion)
-            for v in plan.vehicles
-        ]
-        self.sim = SimFleet(vehicles, frame=plan.frame, **fleet_options)
+    def __init__(
+        self,
+        plan: FleetPlan,
+        *,
+        log: FleetLog | None = None,
+        vehicles: Sequence[SimVehicle] | None = None,
+        **fleet_options: Any,
+    ) -> None:
+        self.sim = SimFleet(planned_vehicles(plan) if vehicles is None else vehicles, frame=plan.frame, **fleet_options)
         self.pipes: list[MeddledEndpoint] = []
         for k, vehicle in enumerate(plan.vehicles):
             ground, air = in_process_pair(f"pipe-{vehicle.name}")

@@ -1,0 +1,482 @@
+"""Where vehicles are along their plans, how late, and speeds that bring them together: laws, and a toy fleet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from missionplanner import timing
+from missionplanner.mission import VehicleSettings
+from missionplanner.motion import TICK_S, Navigator, Route, takeoff_points
+from missionplanner.pacing import (
+    Advice,
+    Course,
+    Gust,
+    Pacer,
+    Place,
+    Rules,
+    Sighting,
+    common_delay,
+    lateness_s,
+    place_of,
+    steady_wind,
+    times_at,
+)
+from missionplanner.vehicle import MotionModel, motion_model
+
+COPTER = motion_model(VehicleSettings())
+EIGHT = ((0, 0, 30), (200, 200, 30), (200, 0, 30), (0, 200, 30), (-100, 200, 30))
+"""Its second and fourth waypoints' legs cross at (100, 100)."""
+
+
+def course(
+    name: str = "uav1",
+    waypoints_m: Sequence[tuple[float, float, float]] = EIGHT,
+    speed_m_s: float | Sequence[float] = 6.0,
+    hold_s: Sequence[float] | None = None,
+    model: MotionModel = COPTER,
+    limits_m_s: tuple[float, float] = (3.0, 10.0),
+    arrival_s: float | None = None,
+) -> Course:
+    points = np.array(waypoints_m, dtype=float)
+    home = points[0] * [1.0, 1.0, 0.0]
+    speeds = np.array(np.broadcast_to(speed_m_s, len(points) - 1), dtype=float)
+    holds = np.zeros(len(points) - 1) if hold_s is None else np.array(hold_s, dtype=float)
+    planned, reached_s = timing.predict_flight(model, home, points, speeds, hold_s=holds, end="land")
+    arrives_s = float(reached_s[-1]) if arrival_s is None else arrival_s
+    return Course(name, model, home, points, speeds, holds, "land", planned, reached_s, arrives_s, *limits_m_s)
+
+
+def waypoint_at(which: Course, t_s: float) -> int:
+    return int(np.searchsorted(which.reached_s, t_s, side="right"))
+
+
+# where, and how late
+
+
+def test_the_leg_is_the_one_that_is_flown_where_paths_cross() -> None:
+    eight = course()
+    crossing = np.array([100.0, 100.0, 30.0])
+    assert place_of(eight, 1, crossing) == Place(1, pytest.approx(0.5))
+    assert place_of(eight, 3, crossing) == Place(3, pytest.approx(0.5))
+    late = [lateness_s(eight, place_of(eight, leg, crossing), 60.0) for leg in (1, 3)]
+    assert late[0] > late[1] + 30.0
+
+
+@settings(max_examples=60, deadline=None)
+@given(share=st.floats(0.02, 0.98), late_s=st.floats(-20.0, 200.0), noise_m=st.tuples(*[st.floats(-1.0, 1.0)] * 2))
+def test_who_flies_its_plan_later_is_that_much_late(share: float, late_s: float, noise_m: tuple[float, float]) -> None:
+    eight = course()
+    t_s = share * float(eight.reached_s[-1])
+    position_m = eight.planned.at(t_s) + np.array([*noise_m, 0.0])
+    found = lateness_s(eight, place_of(eight, waypoint_at(eight, t_s), position_m), t_s + late_s)
+    velocity_m_s = (eight.planned.at(t_s + 0.5) - eight.planned.at(t_s - 0.5))[:2]
+    # slow corners tell little, and are cut within the waypoint's radius
+    slowest_m_s = max(float(np.hypot(*velocity_m_s)), 0.5)
+    assert abs(found - late_s) <= 0.3 + (math.hypot(*noise_m) + 0.5) / slowest_m_s + 2.0 * (slowest_m_s < 4.0)
+
+
+def test_nobody_is_late_while_it_holds_as_planned() -> None:
+    held = course(hold_s=[0.0, 20.0, 0.0, 0.0])
+    place = Place(2, 0.999)
+    come_s, leave_s = times_at(held, held.planned, held.reached_s, place)
+    assert leave_s - come_s == pytest.approx(20.0)
+    assert lateness_s(held, place, come_s + 15.0) == 0.0
+    assert lateness_s(held, place, leave_s + 3.0) == pytest.approx(3.0)
+    assert lateness_s(held, place, come_s - 2.0) == pytest.approx(-2.0)
+
+
+def test_a_climb_counts_by_its_height() -> None:
+    eight = course()
+    for t_s in (3.0, 6.0, 9.0):
+        assert lateness_s(eight, place_of(eight, 0, eight.planned.at(t_s)), t_s + 10.0) == pytest.approx(10.0, abs=0.1)
+
+
+# one delay for all
+
+windows = st.lists(st.tuples(st.floats(-100, 100), st.floats(0, 100)).map(lambda w: (w[0], w[0] + w[1])), min_size=1)
+
+
+@given(windows)
+def test_the_common_delay_is_none_or_the_least_that_all_can_make(found: list[tuple[float, float]]) -> None:
+    delay_s = common_delay(found)
+    earliest, latest = max(w[0] for w in found), min(w[1] for w in found)
+    assert delay_s >= earliest
+    if earliest <= 0.0 <= latest:
+        assert delay_s == 0.0
+    elif earliest <= latest:
+        assert earliest <= delay_s <= latest
+        assert abs(delay_s) == min(abs(earliest), abs(latest))
+    else:
+        assert delay_s == earliest
+
+
+@given(windows, st.integers(0, 5), st.floats(0, 50))
+def test_who_gets_later_never_makes_the_fleet_earlier(
+    found: list[tuple[float, float]], which: int, more_s: float
+) -> None:
+    later = list(found)
+    k = which % len(found)
+    later[k] = (found[k][0] + more_s, found[k][1] + more_s)
+    assert common_delay(later) >= common_delay(found)
+
+
+def test_those_who_have_arrived_are_joined_as_soon_as_can_be() -> None:
+    assert common_delay([(5.0, 50.0)], [12.0]) == 12.0
+    assert common_delay([(20.0, 50.0)], [12.0]) == 20.0
+    assert common_delay([], [12.0]) == 12.0
+
+
+# the air
+
+
+@settings(max_examples=50, deadline=None)
+@given(speed=st.floats(0.5, 5.5), angle=st.floats(0.0, 2 * math.pi), turn=st.floats(0.8, 2.3))
+def test_wind_is_known_once_it_has_held_vehicles_up_on_two_courses(speed: float, angle: float, turn: float) -> None:
+    wind = speed * np.array([math.cos(angle), math.sin(angle)])
+    airspeed = 10.35
+    felt = []
+    for k, heading in enumerate([angle + math.pi, angle + math.pi + turn] * 4):
+        velocity = wind + airspeed * np.array([math.cos(heading), math.sin(heading)])
+        felt.append(Gust(float(k), (float(velocity[0]), float(velocity[1])), airspeed, True))
+    np.testing.assert_allclose(steady_wind(felt), wind, atol=0.15)
+
+
+def test_calm_air_and_what_tells_nothing_leave_the_wind_as_expected() -> None:
+    loose = [Gust(float(k), (6.0, 0.0), 10.35, False) for k in range(10)]
+    assert steady_wind([], (1.0, 2.0)).tolist() == [1.0, 2.0]
+    assert steady_wind(loose, (1.0, 2.0)).tolist() == [1.0, 2.0]
+    one = [Gust(0.0, (6.0, 0.0), 10.35, True)]
+    assert steady_wind(one).tolist() == [0.0, 0.0]
+
+
+# a toy fleet
+
+
+class Toy:
+    """Vehicles that fly their courses by the motion model, in wind, with a pacer that sees them every 0.4 s."""
+
+    def __init__(
+        self,
+        courses: Sequence[Course],
+        *,
+        wind_m_s: tuple[float, float] = (0.0, 0.0),
+        late_s: Sequence[float] = (),
+        required_m: float = 0.0,
+        correct: bool = True,
+        rules: Rules | None = None,
+    ) -> None:
+        self.courses = courses
+        self.pacer = Pacer(courses, lambda i, j: required_m, correct=correct, rules=rules)
+        self.navigators = [Navigator([replace(c.model, wind_m_s=wind_m_s)], c.home_m[None]) for c in courses]
+        self.late_s = list(late_s) or [0.0] * len(courses)
+        self.on_legs = [False] * len(courses)
+        self.started = [False] * len(courses)
+        self.arrival_s: list[float | None] = [None] * len(courses)
+        self.t_s = 0.0
+        self.commanded: list[tuple[float, int, float]] = []
+        self.advice: list[Advice] = []
+        self.answer: Callable[[int], bool] = lambda _i: True
+        self.edit: Callable[[int, Sighting], Sighting | None] = lambda _i, sighting: sighting
+
+    def step(self) -> None:
+        self.t_s += TICK_S
+        for i, (navigator, which) in enumerate(zip(self.navigators, self.courses, strict=True)):
+            if self.t_s < self.late_s[i]:
+                continue
+            if not self.started[i]:
+                self.started[i] = True
+                navigator.follow(0, *takeoff_points(which.model, which.home_m, which.waypoints_m[0]))
+            navigator.step()
+            if navigator.finished[0]:
+                if not self.on_legs[i]:
+                    self.on_legs[i] = True
+                    navigator.follow(0, *Route.through(which.waypoints_m[1:], which.speed_m_s, which.hold_s))
+                elif self.arrival_s[i] is None:
+                    self.arrival_s[i] = self.t_s
+
+    def sighting(self, i: int) -> Sighting:
+        navigator, which = self.navigators[i], self.courses[i]
+        waypoint = 1 + int(navigator.waypoint[0]) if self.on_legs[i] else 0
+        waypoint = min(waypoint, len(which.waypoints_m) - (self.arrival_s[i] is None))
+        return Sighting(
+            self.t_s, navigator.position_m[0].copy(), navigator.velocity_m_s[0].copy(), waypoint, True,
+            arrival_s=self.arrival_s[i],
+        )  # fmt: skip
+
+    def think(self) -> Advice:
+        for i in range(len(self.courses)):
+            sighting = self.edit(i, self.sighting(i))
+            if sighting is not None:
+                self.pacer.saw(i, sighting)
+        thinking = self.pacer.deliberate()
+        while True:
+            try:
+                next(thinking)
+            except StopIteration as done:
+                advice: Advice = done.value
+                break
+        self.advice.append(advice)
+        for trim in advice.trims:
+            assert advice.paces[trim.vehicle].state == "flying"
+            self.commanded.append((self.t_s, trim.vehicle, trim.to_m_s))
+            if self.answer(trim.vehicle):
+                self.pacer.obeyed(trim, self.t_s)
+                self.navigators[trim.vehicle].set_speed(0, trim.to_m_s)
+            else:
+                self.pacer.refused(trim, self.t_s)
+        return advice
+
+    def run(self, until_s: float = 3000.0) -> Toy:
+        while self.t_s < until_s and any(arrival is None for arrival in self.arrival_s):
+            self.step()
+            tick = round(self.t_s / TICK_S)
+            if tick % round(0.4 / TICK_S) == 0:
+                for i in range(len(self.courses)):
+                    sighting = self.edit(i, self.sighting(i))
+                    if sighting is not None:
+                        self.pacer.saw(i, sighting)
+            if tick % round(5.0 / TICK_S) == 0:
+                self.think()
+        return self
+
+    @property
+    def spread_s(self) -> float:
+        arrivals = [a for a in self.arrival_s if a is not None]
+        assert len(arrivals) == len(self.courses)
+        return max(arrivals) - min(arrivals)
+
+
+def line(name: str, y_m: float, length_m: float, heading_deg: float = 90.0, **more: object) -> Course:
+    """There and back along a straight line, with waypoints every 150 m or so."""
+    ahead = np.array([math.sin(math.radians(heading_deg)), math.cos(math.radians(heading_deg))])
+    steps = max(2, round(length_m / 2.0 / 150.0))
+    away = np.concatenate(
+        [np.linspace(0.0, length_m / 2.0, steps + 1), np.linspace(length_m / 2.0, 0.0, steps + 1)[1:]]
+    )
+    points = [(float(a * ahead[0]), float(y_m + a * ahead[1]), 40.0) for a in away]
+    return course(name, points, **more)  # type: ignore[arg-type]
+
+
+def together(*which: Course) -> list[Course]:
+    """Return courses whose speeds let them arrive with the slowest of them."""
+    arrival_s = max(c.arrival_s for c in which)
+    made = []
+    for c in which:
+        low, high = 1.0, 12.0
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            _, reached_s = timing.predict_flight(c.model, c.home_m, c.waypoints_m, middle, end="land")
+            low, high = (middle, high) if reached_s[-1] > arrival_s else (low, middle)
+        made.append(course(c.name, [tuple(p) for p in c.waypoints_m.tolist()], high))
+    return made
+
+
+def three() -> list[Course]:
+    return together(
+        line("fast", 0.0, 4500.0, 90.0, speed_m_s=9.0),
+        line("middle", 300.0, 3600.0, 30.0, speed_m_s=8.0),
+        line("slow", 600.0, 2700.0, 180.0, speed_m_s=8.0),
+    )
+
+
+def test_a_fleet_on_time_is_left_alone() -> None:
+    toy = Toy(three()).run()
+    assert toy.commanded == []
+    assert toy.spread_s <= 0.2
+    late = [pace.lateness_s for advice in toy.advice for pace in advice.paces if pace.lateness_s is not None]
+    assert max(map(abs, late)) <= 0.5
+
+
+@pytest.mark.parametrize("from_deg", [0.0, 90.0, 225.0])
+def test_wind_that_nobody_planned_for_does_not_part_the_fleet(from_deg: float) -> None:
+    angle = math.radians(from_deg)
+    wind = (-5.0 * math.sin(angle), -5.0 * math.cos(angle))
+    alone = Toy(three(), wind_m_s=wind, correct=False).run()
+    toy = Toy(three(), wind_m_s=wind).run()
+    assert alone.commanded == []
+    assert alone.spread_s > 15.0
+    assert toy.spread_s <= 1.0
+    assert toy.commanded
+    assert all(3.0 <= speed <= 10.0 for _, _, speed in toy.commanded)
+    for k in range(3):
+        times = [t for t, i, _ in toy.commanded if i == k]
+        assert all(b - a >= 10.0 - 1e-6 for a, b in pairwise(times))
+        assert all(
+            t <= arrival - 14.0 for t, arrival in zip(times, [toy.arrival_s[k]] * len(times), strict=True) if arrival
+        )
+
+
+def test_a_late_start_is_caught_up_where_it_can_be() -> None:
+    courses = three()
+    toy = Toy(courses, late_s=(0.0, 15.0, 0.0)).run()
+    assert toy.spread_s <= 0.6
+    assert max(a or 0.0 for a in toy.arrival_s) == pytest.approx(courses[0].arrival_s, abs=0.6)
+    assert {i for _, i, _ in toy.commanded} == {1}
+
+
+def test_a_late_start_that_cannot_be_caught_up_delays_all_by_as_little_as_can_be() -> None:
+    courses = [replace(c, speed_max_m_s=9.01) for c in three()]
+    assert courses[0].speed_m_s.max() == pytest.approx(9.0, abs=0.05)
+    toy = Toy(courses, late_s=(12.0, 0.0, 0.0)).run()
+    assert toy.spread_s <= 0.6
+    assert max(a or 0.0 for a in toy.arrival_s) == pytest.approx(courses[0].arrival_s + 12.0, abs=0.6)
+
+
+def test_nothing_is_commanded_before_the_first_waypoint_or_while_a_vehicle_stands() -> None:
+    toy = Toy(three(), late_s=(30.0, 0.0, 0.0))
+    while toy.t_s < 40.0:
+        toy.step()
+        if round(toy.t_s / TICK_S) % 8 == 0:
+            toy.think()
+    assert not [1 for _, i, _ in toy.commanded if i == 0]
+    toy.navigators[1].halt(0)
+    before = len([1 for _, i, _ in toy.commanded if i == 1])
+    for _ in range(round(30.0 / TICK_S)):
+        toy.step()
+        if round(toy.t_s / TICK_S) % 8 == 0:
+            toy.think()
+    assert toy.advice[-1].paces[1].state == "paused"
+    halted_s = toy.t_s - 22.0
+    assert len([1 for t, i, _ in toy.commanded if i == 1 and t > halted_s]) == 0
+    assert len([1 for _, i, _ in toy.commanded if i == 1]) <= before + 1
+    toy.navigators[1].resume(0)
+    toy.run()
+    assert toy.spread_s <= 0.8
+
+
+def test_lost_and_repeated_telemetry_changes_little() -> None:
+    wind = (0.0, 4.0)
+    rng = np.random.default_rng(3)
+    toy = Toy(three(), wind_m_s=wind)
+    old: dict[int, Sighting] = {}
+
+    def meddle(i: int, sighting: Sighting) -> Sighting | None:
+        if rng.random() < 0.3:
+            return None
+        if rng.random() < 0.2 and i in old:
+            return old[i]  # once more, and out of order
+        old[i] = sighting
+        return sighting
+
+    toy.edit = meddle
+    assert toy.run().spread_s <= 1.2
+
+
+def test_who_is_not_heard_keeps_all_speeds_as_they_are() -> None:
+    toy = Toy(three(), late_s=(0.0, 15.0, 0.0))
+    toy.edit = lambda i, s: replace(s, age_s=30.0) if i == 2 else s
+    toy.run()
+    assert toy.commanded == []
+    assert any("slow is not heard" in remark for advice in toy.advice for remark in advice.remarks)
+
+
+def test_who_left_its_mission_keeps_all_speeds_as_they_are_until_it_is_back() -> None:
+    toy = Toy(three(), late_s=(0.0, 15.0, 0.0))
+    toy.edit = lambda i, s: replace(s, in_mission=not (i == 2 and 40.0 < toy.t_s < 120.0))
+    toy.run()
+    assert [t for t, _, _ in toy.commanded if 45.0 < t < 120.0] == []
+    assert any("left its mission" in remark for advice in toy.advice for remark in advice.remarks)
+    back = [(t, speed) for t, i, speed in toy.commanded if i == 2 and t >= 120.0]
+    # an autopilot flies at its own default when it enters a mission anew: it is told its speed again, at once
+    assert back[0][0] <= 131.0
+    assert back[0][1] == pytest.approx(float(toy.courses[2].speed_m_s[0]), rel=0.05)
+
+
+def test_who_refuses_is_left_alone_and_the_others_join_it() -> None:
+    toy = Toy(three(), late_s=(0.0, 15.0, 0.0))
+    toy.answer = lambda i: i != 1
+    toy.run()
+    assert len([1 for _, i, _ in toy.commanded if i == 1]) == Rules().tries
+    arrivals = np.array(toy.arrival_s, dtype=float)
+    assert toy.spread_s <= 1.5
+    assert arrivals[1] == pytest.approx(toy.courses[1].arrival_s + 15.0, abs=1.0)
+
+
+def test_speeds_leg_by_leg_are_scaled_and_told_again_after_the_mission_sets_its_own() -> None:
+    points = [(150.0 * k, 0.0, 40.0) for k in range(13)]
+    slow_middle = course("varied", points, [8.0] * 4 + [5.0] * 4 + [8.0] * 4)
+    toy = Toy([slow_middle], late_s=(10.0,))
+
+    class Forgetful:
+        leg = 0
+
+    def mission_sets_speed() -> None:
+        leg = int(toy.navigators[0].waypoint[0])
+        if toy.on_legs[0] and leg != Forgetful.leg:
+            Forgetful.leg = leg
+            if leg in (4, 8):
+                toy.navigators[0].set_speed(0, float(slow_middle.speed_m_s[leg]))
+
+    while toy.arrival_s[0] is None and toy.t_s < 600.0:
+        toy.step()
+        mission_sets_speed()
+        tick = round(toy.t_s / TICK_S)
+        if tick % 8 == 0:
+            toy.pacer.saw(0, toy.sighting(0))
+        if tick % 100 == 0:
+            toy.think()
+    assert toy.arrival_s[0] == pytest.approx(slow_middle.arrival_s, abs=1.0)
+    speeds = [speed for _, _, speed in toy.commanded]
+    assert any(8.0 < speed <= 10.0 for speed in speeds)
+    assert any(5.0 < speed < 8.0 for speed in speeds)
+
+
+def crossing() -> list[Course]:
+    """Two that pass the same point, one well after the other."""
+    first = course("first", [(0, 0, 40), (600, 0, 40), (1200, 0, 40)], 6.0)
+    second = course("second", [(600, -1000, 40), (600, -200, 40), (600, 600, 40)], 6.0)
+    arrival_s = max(first.arrival_s, second.arrival_s)
+    return [replace(c, arrival_s=arrival_s) for c in (first, second)]
+
+
+def nearest_m(toy: Toy) -> float:
+    """Return how close two vehicles come."""
+    least_m = math.inf
+    while any(arrival is None for arrival in toy.arrival_s) and toy.t_s < 900.0:
+        toy.run(toy.t_s + 0.4)
+        between_m = toy.navigators[0].position_m[0] - toy.navigators[1].position_m[0]
+        least_m = min(least_m, float(np.linalg.norm(between_m)))
+    return least_m
+
+
+@pytest.mark.parametrize("after_s", [-10.0, 10.0])
+def test_what_would_bring_vehicles_too_close_is_not_commanded(after_s: float) -> None:
+    courses = crossing()
+
+    def passes_s(which: Course) -> float:
+        away_m = np.linalg.norm(which.planned.position_m - [600.0, 0.0, 40.0], axis=1)
+        return float(which.planned.t_s[int(np.argmin(away_m))])
+
+    # the first starts so late that it passes just before, or just after the second: catching up, it would meet it
+    late_s = passes_s(courses[1]) - passes_s(courses[0]) + after_s
+    free = Toy(courses, late_s=(late_s, 0.0), required_m=0.1)
+    assert nearest_m(free) < 25.0
+    kept = Toy(courses, late_s=(late_s, 0.0), required_m=30.0)
+    assert nearest_m(kept) >= 30.0
+    told = [remark for advice in kept.advice for remark in advice.remarks]
+    assert any("first and second within 30 m" in remark for remark in told)
+
+
+def test_a_solved_speed_is_monotone_in_the_arrival_asked_for() -> None:
+    toy = Toy(three())
+    while toy.t_s < 60.0:
+        toy.step()
+    toy.think()
+    tracked = toy.pacer._tracked[1]
+    asked_s = np.linspace(200.0, 1500.0, 27) + toy.t_s
+    factors = [toy.pacer._factor_for(tracked, float(a)) for a in asked_s]
+    assert all(b <= a + 1e-9 for a, b in pairwise(factors))
+    low, high = tracked.course.factors
+    assert min(factors) == low
+    assert max(factors) == high
+    for a, factor in zip(asked_s, factors, strict=True):
+        if low < factor < high:
+            assert toy.pacer._arrival_s(tracked, factor) == pytest.approx(float(a), abs=0.3)
