@@ -373,6 +373,25 @@ class FleetLink:
             {k: self._switching(v, order) for k, v in armed.items()}, after_failure="the others have obeyed"
         )
 
+    def release(self) -> list[str]:
+        """Let vehicles go on that were stopped to lose time, before nobody watches them; return their names.
+
+        Raises
+        ------
+        LinkError
+            A vehicle does not confirm: it stands until somebody takes over.
+        """
+        stopped = [] if self._keeper is None else [list(self._vehicles.values())[i] for i in self._keeper.stopped]
+        self._station.together(
+            {vehicle.plan.sysid: self._going_on(vehicle) for vehicle in stopped}, after_failure="take over"
+        )
+        return [vehicle.plan.name for vehicle in stopped]
+
+    def _going_on(self, vehicle: _Vehicle) -> Steps:
+        result = yield from self._station.commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
+        if result != mavlink.MAV_RESULT_ACCEPTED:
+            raise vehicle.error(f"stands, and refused to go on{vehicle.said(self._clock.now_s())}")
+
     # what goes on with one vehicle, each a generator that yields whenever it waits
 
     def _comparing(self, vehicle: _Vehicle, found: dict[int, Comparison]) -> Steps:

@@ -48,6 +48,7 @@ class PaceKeeper:
     ) -> None:
         self.advice: Advice | None = None
         self.corrections: list[Correction] = []
+        self.stopped: set[int] = set()  # vehicles that wait for a command to go on
         self._pacer = pacer
         self._station = station
         self._peers = peers
@@ -136,6 +137,9 @@ class PaceKeeper:
         order = f"{trim.name}: {what} at {t_s:.0f} s, {trim.why}"
         if obeyed:
             self._pacer.obeyed(trim, t_s)
+            self.stopped -= {trim.vehicle}
+            if trim.to_m_s == 0.0:
+                self.stopped.add(trim.vehicle)
             self._say(order, now_s)
             return
         answer = "it did not answer" if result is None else f"it refused (MAV_RESULT {result})"

@@ -554,6 +554,8 @@ def _leave(link: FleetLink, *, simulated: bool) -> None:
         choice = typer.prompt(f"vehicles are flying: {', '.join(_ORDERS)}? (auto: fly on)", default="auto", err=True)
     if choice != "auto":
         link.order(cast("Order", choice))
+    for name in link.release() if choice == "auto" else []:
+        print(f"missionplanner: {name} stood to lose time, and goes on", file=sys.stderr)
     told = "fly on with their missions" if choice == "auto" else f"were sent to {choice} and have confirmed"
     print(f"missionplanner: the vehicles {told}; nobody watches them now", file=sys.stderr)
 
@@ -699,17 +701,20 @@ def replay(
 @app.command()
 def experiment(
     name: Annotated[
-        Literal["proof", "fidelity"],
+        Literal["proof", "fidelity", "arrival", "scale"],
         typer.Argument(
-            metavar="NAME", help="proof: soundness, tightness and speed; fidelity: predicted against recorded flights"
+            metavar="NAME",
+            help="proof: soundness, tightness and speed; fidelity: predicted against recorded flights; arrival: common "
+            "arrival in simulation, disturbed in several ways; scale: cost and the number of vehicles",
         ),
     ],
     output: Output = None,
-    seed: Annotated[int, typer.Option(min=0)] = 1,
-    quick: Annotated[bool, typer.Option("--quick", help="proof: a small part of it, in half a minute")] = False,
-    mission: Annotated[Path, typer.Option(help="proof: mission file whose terrain is used")] = Path(
-        "missions/san_gabriel.yaml"
-    ),
+    seed: Annotated[int, typer.Option(min=0, help="arrival: the first of them")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="arrival: plans, each with a seed of its own")] = 20,
+    quick: Annotated[bool, typer.Option("--quick", help="not fidelity: a small part of it")] = False,
+    mission: Annotated[
+        Path, typer.Option(help="proof: mission file whose terrain is used; arrival: mission file that is flown")
+    ] = Path("missions/san_gabriel.yaml"),
     samples: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="proof: also check the .plan and .waypoints files there")
     ] = None,
@@ -737,6 +742,14 @@ def experiment(
             from missionplanner.experiments import fidelity
 
             figures = fidelity.main(folder, flights=flights, update=update, progress=show)
+        elif name == "arrival":
+            from missionplanner.experiments import arrival
+
+            figures = arrival.main(folder, mission=mission, seed=seed, seeds=seeds, quick=quick, progress=show)
+        elif name == "scale":
+            from missionplanner.experiments import scale
+
+            figures = scale.main(folder, seed=seed, quick=quick, progress=show)
         else:
             from missionplanner.experiments import proof
 
