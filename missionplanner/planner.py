@@ -44,7 +44,8 @@ _SHIFTS_S = (5.0, -5.0, 10.0, -10.0, 15.0, -15.0, 25.0, -25.0, 40.0)
 """How much later or earlier a vehicle may pass where it would meet another."""
 _LATER_S = 3.0
 _LATER_MAX_S = 60.0
-"""By how much the fleet may arrive later for that: rather than flying around each other, and where that is not to be."""
+"""By how much the fleet may arrive later for that: rather than flying around each other, and where there is no way."""
+_AROUND_S = 60.0
 _OFF_S = 3.0
 """Who is parted by time alone keeps apart even if one is this much early or late."""
 _PACES = 13
@@ -211,14 +212,16 @@ class _Team:
     def _timed_apart(self, conflict: Conflict, plan: FleetPlan, later_max_s: float) -> bool:
         """Let one of two pass where they meet at another time; False where no small change keeps them well apart.
 
-        The fleet may arrive up to ``later_max_s`` later for it. Of all that helps, what makes it arrive the least later,
-        then what changes the least.
+        The fleet may arrive up to ``later_max_s`` later for it. Of all that helps, what makes it arrive the least
+        later, then what changes the least.
         """
         found: list[tuple[float, float, list[_Pin], list[float], Resolution]] = []
         before_s = plan.arrival_s
         for index in (conflict.second, conflict.first):
             name, other = plan.vehicles[index].name, conflict.names[int(index == conflict.first)]
             for shift_s in _SHIFTS_S:
+                if not self._promising(index, conflict, plan, shift_s, later_max_s):
+                    continue
                 for pins, delays_s, how, told in self._timings(index, conflict, plan, shift_s):
                     try:
                         schedules, arrival_s = schedule(self._scene, self._paths, delays_s, pins)
@@ -237,6 +240,23 @@ class _Team:
             return False
         _, _, self._pins, self._delays_s, resolution = min(found, key=lambda option: option[:2])
         self._resolutions.append(resolution)
+        return True
+
+    def _promising(self, index: int, conflict: Conflict, plan: FleetPlan, shift_s: float, later_max_s: float) -> bool:
+        """Whether passing so much later may help, judged by the flights as they are: solving for it takes long."""
+        vehicle = plan.vehicles[index]
+        other = conflict.first if index == conflict.second else conflict.second
+        top_m_s = self._scene.tasks[index].limits.speed_max_m_s
+        left_s = vehicle.arrival_s - conflict.t_s
+        if plan.arrival_s is not None and shift_s - left_s * (1.0 - vehicle.speeds_m_s[-1] / top_m_s) > later_max_s:
+            return False  # it could not make up for it
+        around_s = np.linspace(conflict.t_s - _AROUND_S, conflict.t_s + _AROUND_S, 2 * int(_AROUND_S) + 1)
+        theirs = Trajectory(around_s, plan.vehicles[other].trajectory.at(around_s))
+        required_m = proof.required_apart_m(self._scene, self._scene.tasks[index], self._scene.tasks[other])
+        for off_s in (-_OFF_S, 0.0, _OFF_S):
+            mine = Trajectory(around_s, vehicle.trajectory.at(around_s - shift_s - off_s))
+            if timing.least_separation([mine, theirs], required_m):
+                return False
         return True
 
     def _timings(
@@ -695,6 +715,7 @@ def _went_around(vehicle: VehiclePlan, other: str, t_s: float, before: PlannedPa
     nearest_m = legs[:, 0] + along[:, np.newaxis] * (legs[:, 1] - legs[:, 0])
     off_m = nearest_m[int(np.argmin(np.linalg.norm(nearest_m - met_m, axis=1)))] - met_m
     higher = abs(off_m[2]) > float(np.hypot(off_m[0], off_m[1]))
+    higher &= bool(abs(off_m[2]) >= 1.0)
     where = f"{abs(off_m[2]):.0f} m {'higher' if off_m[2] > 0.0 else 'lower'}" if higher else "another way"
     longer = f"{after.length_m - before.length_m:+.0f} m"
     return Resolution(vehicle.name, other, t_s, "altitude" if higher else "way", f"flies {where}, {longer}")
