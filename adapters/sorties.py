@@ -160,7 +160,7 @@ def read_sortie(
     ----------
     home_m : (3,) where the vehicle stands; PX4's missions do not say, ArduPilot's do in item 0 unless that is 0, 0
     speed_default_m_s : before any DO_CHANGE_SPEED; default: the autopilot's own
-    airspeed_limits_m_s : of a plane, outside of which ArduPlane ignores a speed
+    airspeed_limits_m_s : of a plane, outside of which ArduPlane ignores a speed; default: its motion's
     ground : a terrain model, to which home's altitude is held
 
     Raises
@@ -179,7 +179,15 @@ def read_sortie(
         copter_m_s = motion.arducopter.cruise_speed_m_s if ardupilot else motion.px4.return_speed_m_s
         speed_default_m_s = motion.cruise_speed_m_s if vehicle_class == "plane" else copter_m_s
     reader = _Reader(
-        name, autopilot, vehicle_class, frame, home, motion, speed_default_m_s, airspeed_limits_m_s, ground
+        name,
+        autopilot,
+        vehicle_class,
+        frame,
+        home,
+        motion,
+        speed_default_m_s,
+        airspeed_limits_m_s or motion.airspeed_limits_m_s,
+        ground,
     )
     reader.gaps += home_gaps
     reader.notes += notes
@@ -364,7 +372,7 @@ class _Reader:
         home_m: FloatArray,
         motion: MotionModel,
         speed_m_s: float,
-        airspeed_limits_m_s: tuple[float, float] | None,
+        airspeed_limits_m_s: tuple[float, float],
         ground: Ground | None,
     ) -> None:
         self.name = name
@@ -508,8 +516,12 @@ class _Reader:
 
     def _climb(self, item: MissionItem, alt_amsl_m: float) -> None:
         """Add a copter's take-off, straight up from home."""
+        least_m = 0.0 if self.ardupilot else self.motion.px4.takeoff_least_m
         if not alt_amsl_m >= self.home_m[2] + _LEAST_CLIMB_M:
             self._gap(item, f"take-off to {alt_amsl_m:.1f} m AMSL is not above home at {self.home_m[2]:.1f} m")
+        elif alt_amsl_m < self.home_m[2] + least_m - _SAME_PLACE_M:
+            height_m = alt_amsl_m - self.home_m[2]
+            self._gap(item, f"take-off to {height_m:.1f} m above home: PX4 climbs to {least_m:g} m (MIS_TAKEOFF_ALT)")
         self._add(Leg(item.seq, "takeoff", np.array([*self.home_m[:2], alt_amsl_m]), self.speed_m_s))
 
     def _take_off(self, item: MissionItem) -> None:
@@ -733,7 +745,7 @@ class _Reader:
 
     def _change_airspeed(self, item: MissionItem) -> None:
         value_m_s = item.param2
-        low_m_s, high_m_s = self.airspeed_limits_m_s or (0.0, math.inf)
+        low_m_s, high_m_s = self.airspeed_limits_m_s
         if int(item.param1) == _GROUND_SPEED:
             if value_m_s > self.speed_m_s:
                 self._gap(item, f"a least ground speed of {value_m_s:g} m/s, above its airspeed: how fast is not known")

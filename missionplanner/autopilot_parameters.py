@@ -281,6 +281,7 @@ _PX4_COPTER = (
     Parameter("px4.return_wait_s", "s", 0.0, 0.0, 3600.0, _as("RTL_LAND_DELAY")),
     Parameter("px4.climb_acceleration_m_s2", "m/s^2", 4.0, 2.0, 15.0, _as("MPC_ACC_UP_MAX")),
     Parameter("px4.descent_acceleration_m_s2", "m/s^2", 3.0, 2.0, 15.0, _as("MPC_ACC_DOWN_MAX")),
+    Parameter("px4.takeoff_least_m", "m", 2.5, 0.0, 80.0, _as("MIS_TAKEOFF_ALT")),
     Parameter("px4.takeoff_speed_m_s", "m/s", 1.5, 1.0, 5.0, _as("MPC_TKO_SPEED")),
     Parameter("px4.takeoff_ramp_s", "s", 3.0, 0.0, 5.0, _as("MPC_TKO_RAMP_T")),
     Parameter("px4.land_speed_m_s", "m/s", 0.7, 0.5, 4.0, _as("MPC_LAND_SPEED")),

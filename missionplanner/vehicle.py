@@ -38,6 +38,7 @@ class Px4Tuning:
     return_wait_s: float = 0.0  # RTL_LAND_DELAY, at that height
     climb_acceleration_m_s2: float = 4.0  # MPC_ACC_UP_MAX
     descent_acceleration_m_s2: float = 3.0  # MPC_ACC_DOWN_MAX
+    takeoff_least_m: float = 2.5  # MIS_TAKEOFF_ALT: it climbs no less
     takeoff_speed_m_s: float = 1.5  # MPC_TKO_SPEED, below slow_below_m
     takeoff_ramp_s: float = 3.0  # MPC_TKO_RAMP_T
     land_speed_m_s: float = 0.7  # MPC_LAND_SPEED, below land_below_m

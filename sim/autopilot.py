@@ -686,6 +686,8 @@ class Autopilot:
     def _takeoff_stages(self, seq: int, item: MissionItem) -> list[_Stage]:
         here, place = self.position_m, self._place(item)
         plane = self.personality.vehicle_class == "plane"
+        if self.landed:  # PX4 climbs no less
+            place[2] = max(place[2], self.home_m[2] + float(self.parameters.get("MIS_TAKEOFF_ALT", 0.0)))
         # ArduCopter ignores the item's place and goes straight up; a plane climbs towards it
         top = np.array([*(place if plane else here)[:2], max(place[2], here[2])])
         if not self.landed and top[2] - here[2] < 0.1:

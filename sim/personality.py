@@ -516,7 +516,6 @@ _PX4_COPTER = Personality(
         {
             "COM_DISARM_LAND": 2.0,
             "COM_DISARM_PRFLT": 10.0,
-            "MIS_TAKEOFF_ALT": 2.5,
             "MIS_DIST_1WP": 10_000.0,
             "RTL_CONE_ANG": 45,
             "RTL_MIN_DIST": 10.0,
@@ -535,6 +534,7 @@ _PX4_PLANE = replace(
     parameters=MappingProxyType(
         {
             **_PX4_COPTER.parameters,
+            "MIS_TAKEOFF_ALT": 2.5,
             "RTL_DESCEND_ALT": 100.0,
             "RTL_RETURN_ALT": 100.0,
         }

@@ -28,6 +28,7 @@ _OTHERS = {
     "arducopter.land_high_speed_m_s": 1.0,
     "arducopter.lean_auto_max_deg": 20.0,
     "px4.return_wait_s": 3.0,
+    "px4.takeoff_least_m": 25.0,
     "px4.speed_max_m_s": 3.0,
     "px4.tilt_max_deg": 20.0,
 }
