@@ -143,6 +143,12 @@ def read_flown(paths: Sequence[Path], plan: FleetPlan) -> FlownLogs:
             continue
         usable[vehicle.name] = vehicle, records
         starts[vehicle.name] = start
+        again = [begin_s for begin_s, _ in _in_mission(vehicle, records) if begin_s > start[1] + vehicle.arrival_s]
+        if again:
+            found.notes.append(
+                f"{vehicle.name} (sysid {vehicle.sysid}): began its mission again {again[0] - start[1]:.0f} s later: "
+                "only its first flight is replayed"
+            )
     if not usable:
         raise MissionError("; ".join(found.problems) or "expected logs of the plan's vehicles, got none")
     start_by = min((how for how, _ in starts.values()), key=_HOWS.index)

@@ -20,6 +20,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import NullLocator
 
 from adapters.mission_items import TAKEOFF, MissionItem, degrees_to_wire
 from adapters.sorties import SPLINE_WAYPOINT, read_sortie
@@ -53,7 +54,8 @@ _COLOURS = {
     "ArduPlane": "#009e73",
     "PX4 multicopter": "#d55e00",
 }
-_DRAWN = 8  # flights whose speed is drawn
+_DRAWN, _DRAWN_OF_A_KIND = 8, 3  # flights whose speed is drawn
+_TICKS = (-100, -30, -10, -3, -1, 0, 1, 3, 10, 30, 100)
 _INK, _MUTED = "#1d2730", "#66727d"
 
 
@@ -330,9 +332,10 @@ def compare(recording: Recording) -> Comparison:
     """Predict a recorded flight and hold the two against each other."""
     flight = predict(recording)
     due_s = _due_s(recording, flight)
-    last = recording.waypoints[-1].seq
-    arrival_s = recording.passed_s(last)
-    assert arrival_s is not None, "recordings without are refused"
+    last = max((item.seq for item in recording.waypoints if item.seq in due_s), default=None)
+    arrival_s = None if last is None else recording.passed_s(last)
+    if last is None or arrival_s is None:
+        raise MissionError(f"{recording.name}: expected a waypoint that is reached before the mission's end, got none")
     climbed_s, climb_due_s = recording.climbed_s, due_s.get(flight.sortie.legs[0].seq)
     t_s, position_m = recording.t_s, recording.position_m
     until = (t_s >= 0.0) & (t_s <= arrival_s)
@@ -506,21 +509,30 @@ def _draw_errors(results: Results, figure: Figure) -> None:
     legs.set_ylim(len(flights) - 0.5, -0.5)
     for axes in (legs, arrival):  # an outlier shall not hide the others
         axes.set_xscale("symlog", linthresh=5.0, linscale=2.0)
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        _plain_ticks(axes)
         axes.set_xlabel("predicted slower (right) or faster (left) than recorded", fontsize=7, color=_MUTED)
     place.set_xscale("symlog", linthresh=3.0, linscale=2.0)
-    place.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    _plain_ticks(place)
     for group, colour in _COLOURS.items():
         if any(f.group == group for f in flights):
             arrival.plot([], [], "s", color=colour, label=group)
     figure.legend(loc="outside lower center", ncols=4, fontsize=7.5, frameon=False)
 
 
+def _plain_ticks(axes: Axes) -> None:
+    low, high = axes.get_xlim()
+    axes.set_xticks([tick for tick in _TICKS if low <= tick <= high])
+    axes.set_xlim(low, high)
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+
+
 def _telling(results: Results) -> list[Comparison]:
     """Return of each kind the flight with the worst leg, then those whose arrival is furthest off."""
     shown = [max(flights, key=lambda f: f.leg_worst or 0.0) for flights in results.groups().values()]
     for f in sorted(results.flights, key=lambda f: -abs(f.arrival_fraction)):
-        if len(shown) < _DRAWN and f not in shown:
+        of_its_kind = sum(other.group == f.group for other in shown)
+        if len(shown) < _DRAWN and f not in shown and of_its_kind < _DRAWN_OF_A_KIND:
             shown.append(f)
     return shown
 

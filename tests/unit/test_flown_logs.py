@@ -193,6 +193,18 @@ def test_a_slow_flight_is_late_more_and_more(tmp_path: Path, plan: FleetPlan) ->
     assert np.abs(row.cross_track_m[row.en_route]).max() < 0.3  # this plan's corners are sharp
 
 
+def test_of_two_flights_the_first_is_replayed_and_the_second_told(tmp_path: Path) -> None:
+    plan = fleet_plan()
+    first = records(plan.vehicles[0], Story(commands=True))
+    later_s = 150.0
+    second = records(plan.vehicles[0], Story(late_s=later_s, commands=True))
+    data = logged([*first, *(r for r in second if r[0] > later_s - STAND_S)])
+    found = read(tmp_path, plan, data)
+    assert found.flown["uav1"].arrival_s == pytest.approx(plan.vehicles[0].arrival_s, abs=0.25)
+    [note] = found.notes
+    assert re.search(r"began its mission again 1[45]\d s later: only its first flight is replayed", note)
+
+
 # --- damage ----------------------------------------------------------------------------------------------------------
 
 

@@ -24,6 +24,7 @@ from missionplanner.replay import (
     replay_vehicle,
     save_replay,
 )
+from missionplanner.report import write_replay
 from tests.plans import fleet_plan, small_fleet, vehicle_plan
 
 OUT_AND_BACK = [(0, 0, 30), (200, 0, 30), (200, 20, 30), (0, 20, 30), (100, -50, 30), (100, 80, 30), (0, 0, 30)]
@@ -207,3 +208,18 @@ def test_what_is_written_says_the_same(tmp_path: Path) -> None:
     figures = json.loads(paths["figures"].read_text())
     assert figures["vehicles"][0]["arrival_error_s"] == pytest.approx(0.5)
     assert len(figures["vehicles"][0]["waypoints"]) == 3
+
+
+def test_the_page_says_who_came_too_close_and_who_never_arrived(tmp_path: Path) -> None:
+    plan = small_fleet("ardupilot", 2)
+    one, two = plan.vehicles
+    beside = Trajectory(one.trajectory.t_s, one.trajectory.position_m + np.array([0.0, 3.0, 0.0]))
+    near = FlownVehicle("uav2", 2, beside, two.arrival_s, None)
+    tracks = {"uav1": FlownVehicle("uav1", 1, one.trajectory, one.arrival_s, None), "uav2": near}
+    page = write_replay(tmp_path, plan.mission, replay(plan, tracks, {}), start="now", troubles=(), remarks=("gap",))
+    assert "Vehicles came too close to one another" in page.read_text()
+    assert "uav1 - uav2 came within 3.0 m; " in page.read_text()
+    tracks["uav2"] = FlownVehicle("uav2", 2, two.trajectory, None, None)
+    page = write_replay(tmp_path, plan.mission, replay(plan, tracks, {}), start="now", troubles=(), remarks=())
+    assert "1 of 2 vehicles never reached their goals" in page.read_text()
+    assert "too close" not in page.read_text()
