@@ -61,6 +61,7 @@ from missionplanner.motion.state import (
     TARGET_VELOCITY,
     TRACK,
     TURN_SPEED,
+    VELOCITY,
     VERTICAL,
     VERTICAL_ACCELERATION,
     VERTICAL_VELOCITY_GAIN,
@@ -140,6 +141,8 @@ def _accept_waypoint(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -
                 return
         elif s[POSITION + 2] > s[GROUND]:
             return
+        else:
+            _come_to_rest(s)
         route[w, REACHED] = s[ELAPSED]
         k[PHASE] = HOLDING
         s[HOLD_LEFT] = route[w, HOLD]
@@ -154,6 +157,14 @@ def _accept_waypoint(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -
             k[PHASE] = IDLE
         else:
             _begin_leg(s, k, route)
+
+
+@kernel
+def _come_to_rest(s: FloatArray) -> None:
+    """Forget all vertical motion: the vehicle stands on the ground."""
+    s[TARGET + 2] = s[POSITION + 2] = s[GROUND]
+    s[TARGET_VELOCITY + 2] = s[TARGET_ACCELERATION + 2] = s[VELOCITY + 2] = 0.0
+    s[LIFT] = s[INTEGRAL + 2] = 0.0
 
 
 @kernel

@@ -44,7 +44,7 @@ _LEAN_TIME_S = 0.17  # 1 / MC_ROLL_P and the rate loop behind it
 _MOTOR_TIME_S = 0.05  # SIH_T_TAU
 _HOVER_NOISE_1_S = 0.072  # HTE_HT_NOISE * g / MPC_THR_HOVER per 1 m/s^2, the least noise that is assumed
 _HOVER_RATE_M_S = 2.0  # HTE_VZ_THR
-_NOISE = 0.02  # of the thrust that is asked for, as a share of the weight: what is cut off of it unwinds too
+_NOISE = 0.03  # of the thrust that is asked for, as a share of the weight: what is cut off of it unwinds too
 _DESCENT_STRETCH = 1.2  # what FlightTaskAuto leaves the controller to correct the height with
 
 
@@ -72,8 +72,9 @@ def follow_target(s: FloatArray, h: float, rise_max: float) -> None:
     made = lean * weight / (_GRAVITY_M_S2 * s[HOVER])
     short = 1.0 - made / wish if wish > 0.0 else 0.0
     unwind = (short + math.sqrt(short * short + _NOISE**2)) / s[VELOCITY_GAIN]
-    s[INTEGRAL] += s[INTEGRAL_GAIN] * (x - unwind * wish_x) * h
-    s[INTEGRAL + 1] += s[INTEGRAL_GAIN] * (y - unwind * wish_y) * h
+    if s[POSITION + 2] > s[GROUND]:
+        s[INTEGRAL] += s[INTEGRAL_GAIN] * (x - unwind * wish_x) * h
+        s[INTEGRAL + 1] += s[INTEGRAL_GAIN] * (y - unwind * wish_y) * h
 
     share = lean / wish if wish > 0.0 else 0.0
     s[THRUST] += (wish_x * share - s[THRUST]) * min(1.0, h / _LEAN_TIME_S)
@@ -87,15 +88,17 @@ def follow_target(s: FloatArray, h: float, rise_max: float) -> None:
     s[FELT] = s[THRUST] * push - drag * air_x
     s[FELT + 1] = s[THRUST + 1] * push - drag * air_y
     s[FELT + 2] = s[LIFT] - drag * s[VELOCITY + 2]
-    begin_x, begin_y = s[POSITION], s[POSITION + 1]
+    standing = s[POSITION + 2] <= s[GROUND]
     for axis in range(3):
+        if axis < 2 and standing:
+            continue
         before = s[VELOCITY + axis]
         s[VELOCITY + axis] += s[FELT + axis] * h
         s[POSITION + axis] += 0.5 * (before + s[VELOCITY + axis]) * h
-    if s[POSITION + 2] < s[GROUND]:  # it stands, whatever the wind
-        s[POSITION], s[POSITION + 1], s[POSITION + 2] = begin_x, begin_y, s[GROUND]
-        for axis in range(3):
-            s[VELOCITY + axis] = s[FELT + axis] = 0.0
+    if s[POSITION + 2] < s[GROUND]:
+        s[POSITION + 2] = s[GROUND]
+        s[VELOCITY + 2] = max(s[VELOCITY + 2], 0.0)
+        s[VELOCITY] = s[VELOCITY + 1] = s[FELT + 2] = 0.0
 
 
 @kernel

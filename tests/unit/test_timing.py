@@ -98,7 +98,8 @@ def test_a_hold_is_a_stop_of_that_long_at_its_waypoint(model: MotionModel) -> No
     _, passing_s = predict_flight(model, HOME, WAYPOINTS, 8.0)
     near = np.linalg.norm(flight.position_m - WAYPOINTS[2], axis=1) < model.waypoint_radius_m
     assert np.count_nonzero(near) * np.diff(flight.t_s)[0] >= 9.0
-    assert reached_s[-1] - passing_s[-1] >= 9.0
+    # PX4 counts from where it accepts the waypoint; who passes overshoots it meanwhile, and loses time with that
+    assert reached_s[-1] - passing_s[-1] >= (9.0 if model is COPTER else 7.5)
     assert reached_s[1] == pytest.approx(passing_s[1], abs=0.2)
 
 
