@@ -35,7 +35,7 @@ def plans(draw: st.DrawFn) -> VehiclePlan:
     vehicle_class = draw(classes)
     ends: list[Ending] = ["land", "rtl", "loiter"] if vehicle_class == "copter" else ["rtl", "loiter"]
     home = (*draw(places), draw(st.floats(-400, 4000)))
-    climb_m = draw(st.floats(1.1, 500))
+    climb_m = draw(st.floats(2.6, 500))  # MIS_TAKEOFF_ALT
     aside_m = 0.0 if vehicle_class == "copter" else draw(st.floats(2.0, 900))
     top = (home[0] + aside_m, home[1], home[2] + climb_m)
     return vehicle_plan(
@@ -44,7 +44,7 @@ def plans(draw: st.DrawFn) -> VehiclePlan:
         end=draw(st.sampled_from(ends)),
         home_m=home,
         waypoints_m=[top, *draw(st.lists(points, min_size=1, max_size=7))],
-        speed_m_s=draw(st.floats(0.3, 30)),
+        speed_m_s=draw(st.floats(0.3 if vehicle_class == "copter" else 9.0, 30)),  # AIRSPEED_MIN
         start_delay_s=draw(st.floats(0, 100)),
     )
 

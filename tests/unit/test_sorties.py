@@ -418,7 +418,7 @@ def test_arduplane_flies_by_airspeed() -> None:
         assert any(note.startswith("item 4: ArduPlane") for note in second(ignored).notes)
     assert "least ground speed" in second(_speed(25.0, 1.0)).gaps[0].what
     assert "throttle" in second(replace(_speed(35.0, 0.0), param3=80.0)).gaps[0].what
-    assert _plane(A, _speed(35.0, 0.0), B, RTL).legs[2].speed_m_s == 35.0  # nobody said what its limits are
+    assert _plane(A, _speed(35.0, 0.0), B, RTL).legs[2].speed_m_s == 22.0  # above AIRSPEED_MAX
 
 
 def test_delays() -> None:
