@@ -15,7 +15,10 @@ MODELS = {
     "plane": MotionModel("ardupilot", "plane", 1.5, 1.0, 5.0, 5.0, 50.0, 60.0),
 }
 # mean leg error, arrival as a share, arrival in seconds (the looser of the two counts), position error (95 %)
-LIMITS = {"ardupilot": (0.025, 0.015, 2.0, 10.5), "plane": (0.03, 0.03, 3.0, 50.0), "px4": (0.17, 0.14, 3.0, 90.0)}
+LIMITS = {"ardupilot": (0.025, 0.015, 2.0, 10.5), "plane": (0.03, 0.03, 3.0, 50.0), "px4": (0.04, 0.016, 1.0, 21.0)}
+# Up to the waypoint where chance decided: PX4, by what its position estimate drifted, was 2.4 m past its leg there. A
+# stray of more than 2 m stops and returns to the leg; predicted are 1.6 m.
+STRAYED = {"px4_B_corner90_10": 1}
 
 pytestmark = pytest.mark.skipif(not flights.FOLDER.is_dir(), reason="no recorded flights in ../shared/data/flights")
 
@@ -33,13 +36,14 @@ def test_a_recorded_flight_is_predicted(name: str) -> None:
     else:
         navigator.fly(takeoff_points(model, start, recording.top_m))
     flight, reached_s = navigator.fly(Route.through(recording.waypoints_m, recording.speed_m_s, recording.hold_s))
-    measured = np.diff(np.concatenate([[recording.begin_s], recording.reached_s]))
-    predicted = np.diff(np.concatenate([[0.0], reached_s]))
+    count = STRAYED.get(name, len(reached_s))
+    measured = np.diff(np.concatenate([[recording.begin_s], recording.reached_s[:count]]))
+    predicted = np.diff(np.concatenate([[0.0], reached_s[:count]]))
     known = (measured > 0.5) & (predicted > 0.5)  # not the lost ones, nor a first waypoint where the take-off ended
     leg = np.mean(np.abs(predicted[known] / measured[known] - 1.0))
-    flown_s = recording.reached_s[-1] - recording.begin_s
-    late_s = abs(reached_s[-1] - flown_s)
-    during = (recording.t_s >= recording.begin_s) & (recording.t_s <= recording.reached_s[-1])
+    flown_s = recording.reached_s[count - 1] - recording.begin_s
+    late_s = abs(reached_s[count - 1] - flown_s)
+    during = (recording.t_s >= recording.begin_s) & (recording.t_s <= recording.reached_s[count - 1])
     off_m = np.linalg.norm(flight.at(recording.t_s[during] - recording.begin_s) - recording.position_m[during], axis=1)
     leg_max, share_max, late_max_s, off_max_m = LIMITS[recording.kind]
     assert leg <= leg_max
