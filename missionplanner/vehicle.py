@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from missionplanner.autopilot_parameters import defaults, with_values
+from missionplanner.autopilot_parameters import defaults, fields, with_values
+from missionplanner.errors import MissionError
 from missionplanner.mission import VehicleSettings
 
 Autopilot = Literal["ardupilot", "px4"]
@@ -198,6 +199,11 @@ def motion_model(settings: VehicleSettings, air_m_s: tuple[float, float] = (0.0,
     """Return the navigator's parameters: the mission file's, else the autopilot's defaults.
 
     ``air_m_s`` is the velocity of the air, east and north: :attr:`.Mission.air_m_s`.
+
+    Raises
+    ------
+    MissionError
+        A plane that circles, by its parameters, more tightly than it turns.
     """
     assert settings.parameter_file is None, "with_parameter_files first"
     values = _PLANE_ASSUMED if settings.vehicle_class == "plane" else {}
@@ -212,6 +218,12 @@ def motion_model(settings: VehicleSettings, air_m_s: tuple[float, float] = (0.0,
         **own,
     )
     model = with_values(model, values)
+    told = fields((settings.autopilot, settings.vehicle_class), settings.parameters).get("loiter_radius_m")
+    if told is not None and told[1] < turn_radius_m:
+        raise MissionError(
+            f"turn_radius_m: expected at most the {told[1]:g} m of {told[0]}, got {turn_radius_m:g} m: state how tightly "
+            "it turns, or set a wider circle on the vehicle"
+        )
     return replace(model, loiter_radius_m=max(model.loiter_radius_m, turn_radius_m))
 
 

@@ -213,6 +213,13 @@ def test_speeds_are_those_that_the_autopilot_flies() -> None:
     assert fast.airspeed_limits_m_s == (9.0, 40.0)
 
 
+def test_a_plane_that_circles_more_tightly_than_it_turns_is_refused() -> None:
+    tight = {"vehicle_class": "plane", "parameters": {"WP_LOITER_RAD": 45.0}}
+    with pytest.raises(MissionError, match=r"turn_radius_m: expected at most the 45 m of WP_LOITER_RAD, got 60 m"):
+        motion_model(VehicleSettings.model_validate(tight))
+    assert motion_model(VehicleSettings.model_validate(tight | {"turn_radius_m": 40.0})).loiter_radius_m == 45.0
+
+
 def test_the_schema_tells_of_parameters() -> None:
     settings = mission_schema()["$defs"]["Vehicle"]["properties"]
     assert settings["parameters"]["additionalProperties"] == {"type": "number"}
