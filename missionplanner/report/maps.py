@@ -453,7 +453,7 @@ def _wind_arrow(axes: Axes, facts: Sketch, x: float, top: float) -> None:
         "", middle + 0.15 * to, middle - 0.15 * to,
         arrowprops={"arrowstyle": "-|>", "color": style.INK, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
-    axes.text(x, top - 0.30, f"{wind.speed_m_s:g} m/s", fontsize=7, ha="center", va="center", color=style.INK)
+    axes.text(x, top - 0.30, f"wind {wind.speed_m_s:g} m/s", fontsize=7, ha="center", va="center", color=style.INK)
 
 
 def _legend(facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box) -> list[tuple[str, list[_Row]]]:
