@@ -221,8 +221,8 @@ def motion_model(settings: VehicleSettings, air_m_s: tuple[float, float] = (0.0,
     told = fields((settings.autopilot, settings.vehicle_class), settings.parameters).get("loiter_radius_m")
     if told is not None and told[1] < turn_radius_m:
         raise MissionError(
-            f"turn_radius_m: expected at most the {told[1]:g} m of {told[0]}, got {turn_radius_m:g} m: state how tightly "
-            "it turns, or set a wider circle on the vehicle"
+            f"turn_radius_m: expected at most the {told[1]:g} m of {told[0]}, got {turn_radius_m:g} m: state how "
+            "tightly it turns, or set a wider circle on the vehicle"
         )
     return replace(model, loiter_radius_m=max(model.loiter_radius_m, turn_radius_m))
 

@@ -157,7 +157,7 @@ def test_px4_climbs_at_home_then_flies_to_the_take_offs_place() -> None:
 
 def test_px4_climbs_no_less_than_its_least() -> None:
     low = _read(_item(22, z=2.0, frame=3), A, RTL, autopilot="px4")
-    assert _gaps(low) == ["0 take-off to 2.0 m above home: PX4 climbs to 2.5 m (MIS_TAKEOFF_ALT)"]
+    assert _gaps(low) == ["0 TAKEOFF: take-off to 2.0 m above home: PX4 climbs to 2.5 m (MIS_TAKEOFF_ALT)"]
     assert not _read(_item(22, z=2.5, frame=3), A, RTL, autopilot="px4").gaps
     assert not _read(HOME_ROW, _item(22, z=2.0, frame=3), A, RTL).gaps
 
