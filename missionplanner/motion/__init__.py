@@ -2,7 +2,8 @@
 
 Three navigators, each after the code that flies the real vehicle (:mod:`.arducopter`, :mod:`.px4`, :mod:`.plane`). A
 copter's navigator moves a *target* along the route; the vehicle itself follows it as its position controller and the
-air allow (:mod:`.airframe`), and where it lags the navigator waits for it. That lag is what makes a real vehicle late.
+air allow (:mod:`.airframe`, :mod:`.px4_airframe`), and where it lags the navigator waits for it. That lag is what makes
+a real vehicle late.
 
 Routes are points of the local frame (x east, y north, z altitude AMSL). A leg's speed is horizontal, as autopilots
 understand it; vertical rates have their own limits, and the slower of the two decides.
