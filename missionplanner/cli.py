@@ -757,7 +757,8 @@ def experiment(
     if as_json:
         _print_json(figures)
     else:
-        _stdout.print((folder / "results.md").read_text(encoding="utf-8"), markup=False, highlight=False)
+        text = (folder / "results.md").read_text(encoding="utf-8")
+        _stdout.print(text, markup=False, highlight=False, soft_wrap=True)
     unreadable = figures.get("unreadable", [])
     for flight in unreadable:
         print(f"missionplanner: {flight['error']}", file=sys.stderr)

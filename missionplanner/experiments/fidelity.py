@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -56,6 +56,10 @@ _COLOURS = {
 }
 _DRAWN, _DRAWN_OF_A_KIND = 8, 3  # flights whose speed is drawn
 _TICKS = (-100, -30, -10, -3, -1, 0, 1, 3, 10, 30, 100)
+_ERROR_COLUMNS = "legs", "leg, mean", "leg, worst"
+_PLACE_COLUMNS = "position 95 %", "path, most"
+_KIND_COLUMNS = "kind", "flights", *_ERROR_COLUMNS, "arrival, worst", "", *_PLACE_COLUMNS, "wanted", ""
+_FLIGHT_COLUMNS = "flight", "kind", *_ERROR_COLUMNS, "arrival", "", "after take-off", *_PLACE_COLUMNS
 _INK, _MUTED = "#1d2730", "#66727d"
 
 
@@ -432,34 +436,56 @@ def _write(folder: Path, results: Results) -> None:
 
 def table(results: Results) -> str:
     """Return the figures as Markdown: kinds of flight, then every flight."""
-    lines = [
-        "| kind | flights | legs | leg, mean | leg, worst | arrival, worst | | position 95 % | path, most | wanted | |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for group, flights in results.groups().items():
-        s = _summary(group, flights)
-        lines.append(
-            f"| {group} | {s['flights']} | {s['legs']} | {_percent(s['leg_time_error_mean'])} | "
-            f"{_percent(s['leg_time_error_worst'])} | {s['arrival_error_worst_fraction']:+.2%} | "
-            f"{s['arrival_error_worst_s']:+.2f} s | {s['position_error_p95_worst_m']:.2f} m | "
-            f"{s['path_error_max_m']:.2f} m | {_wanted_words(WANTED[group])} | "
-            f"{'kept' if s['wanted_kept'] else 'not kept'} |"
-        )
-    lines += [
-        "",
-        "| flight | kind | legs | leg, mean | leg, worst | arrival | | after take-off | position 95 % | path, most |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for f in results.flights:
-        after = "" if f.flight_error_s is None else f"{f.flight_error_s:+.2f} s"
-        lines.append(
-            f"| {f.recording.name} | {f.group} | {len(f.legs)} | {_percent(f.leg_mean)} | {_percent(f.leg_worst)} | "
-            f"{f.arrival_fraction:+.2%} | {f.arrival_error_s:+.2f} s | {after} | {f.position_p95_m:.2f} m | "
-            f"{f.path_max_m:.2f} m |"
-        )
+    kinds = [_KIND_COLUMNS, *(_kind_row(group, flights) for group, flights in results.groups().items())]
+    rows = [_FLIGHT_COLUMNS, *(_flight_row(flight) for flight in results.flights)]
+    lines = [*_aligned(kinds), "", *_aligned(rows)]
     if results.unreadable:
         lines += ["", "Not read:", ""] + [f"- {name}: {reason}" for name, reason in results.unreadable]
     return "\n".join(lines) + "\n"
+
+
+def _kind_row(group: str, flights: Sequence[Comparison]) -> tuple[str, ...]:
+    s = _summary(group, flights)
+    return (
+        group,
+        str(s["flights"]),
+        str(s["legs"]),
+        _percent(s["leg_time_error_mean"]),
+        _percent(s["leg_time_error_worst"]),
+        f"{s['arrival_error_worst_fraction']:+.2%}",
+        f"{s['arrival_error_worst_s']:+.2f} s",
+        f"{s['position_error_p95_worst_m']:.2f} m",
+        f"{s['path_error_max_m']:.2f} m",
+        _wanted_words(WANTED[group]),
+        "kept" if s["wanted_kept"] else "not kept",
+    )
+
+
+def _flight_row(f: Comparison) -> tuple[str, ...]:
+    return (
+        f.recording.name,
+        f.group,
+        str(len(f.legs)),
+        _percent(f.leg_mean),
+        _percent(f.leg_worst),
+        f"{f.arrival_fraction:+.2%}",
+        f"{f.arrival_error_s:+.2f} s",
+        "" if f.flight_error_s is None else f"{f.flight_error_s:+.2f} s",
+        f"{f.position_p95_m:.2f} m",
+        f"{f.path_max_m:.2f} m",
+    )
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield the lines of a Markdown table that is as readable unrendered: words to the left, numbers to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    words = [not any(cell[:1] in "+-0123456789" for cell in column if cell) for column in zip(*rows[1:], strict=True)]
+    for number, row in enumerate(rows):
+        cells = [cell.ljust(w) if left else cell.rjust(w) for cell, w, left in zip(row, widths, words, strict=True)]
+        yield f"| {' | '.join(cells)} |"
+        if number == 0:
+            rules = ["-" * (w + 2) if left else "-" * (w + 1) + ":" for w, left in zip(widths, words, strict=True)]
+            yield f"|{'|'.join(rules)}|"
 
 
 def _percent(value: float | None) -> str:
