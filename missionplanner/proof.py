@@ -22,6 +22,7 @@ from missionplanner.clearance import TubeClearances, distance_to_legs_m, polylin
 from missionplanner.errors import InfeasibleError, MissionError
 from missionplanner.flight_check import COLUMN_M, nearest_pair
 from missionplanner.geodesy import FloatArray
+from missionplanner.motion import TICK_S
 from missionplanner.motion.spline import spline_chords
 from missionplanner.plan import Clearance, FleetPlan, Trajectory, VehiclePlan
 from missionplanner.returns import Returning
@@ -36,8 +37,8 @@ LATENESS_LIMIT_S = 60.0
 """Lateness up to which it is asked whether all still keep apart."""
 
 _SPLINE_CHORD_M = 0.05
-_CHORD_TICKS = 4
-CHORD_ERROR_M = 0.02
+_CHORD_TICKS = 2  # planes pull 3 g, and 5 as they lift off
+CHORD_ERROR_M = 0.04
 """Chords of 0.2 s of a predicted flight are at most so far off it at 4 m/s^2."""
 _ANGLE_SLACK_RAD = 1e-5
 _SPEED_SLACK_M_S = 1e-3  # single precision on the wire
@@ -368,7 +369,8 @@ def _predicted_tubes(flight: Flight) -> list[_Tube]:
     kinds = [*(leg.kind for leg in sortie.legs), sortie.ending]
     tubes = []
     for (first, last), leg, kind in zip(pairwise(ends), legs, kinds, strict=True):
-        chosen = np.unique([*range(first, last, _CHORD_TICKS), last])
+        ticks = 1 if kind == "takeoff" else _CHORD_TICKS  # short pieces, of which it has climbed each as a whole
+        chosen = np.unique([*range(first, last, ticks), last])
         flown = trajectory.position_m[chosen if len(chosen) > 1 else np.repeat(chosen, 2)]
         tubes.append(_Tube(leg, kind, polyline_legs(flown), CHORD_ERROR_M, over_terrain=kind != "takeoff"))
     return tubes
@@ -564,7 +566,8 @@ def _least_across_m(across_m: float, before: Leg, leg: Leg) -> float:
 def _turns(flight: Flight) -> Finding:
     """Return whether every corner can be flown with the turn radius, and turns no more than allowed (eqs 5 and 8).
 
-    A corner is rounded by an arc tangent to both its legs that stays within what the tube allows for.
+    A corner is rounded by an arc tangent to both its legs that stays within what the tube allows for. A plane rounds it
+    as its autopilot banks, which its predicted flight shows and its tube is around: that radius is told.
     """
     limits, sortie = flight.task.limits, flight.sortie
     corners_m = np.array([leg.end_m for leg in sortie.legs])
@@ -573,8 +576,6 @@ def _turns(flight: Flight) -> Finding:
     sharp, tight = int(np.argmax(turns)), int(np.argmin(radii_m))
     sharpest, tightest = float(turns[sharp]), float(radii_m[tight])
     sharp_seq, tight_seq = sortie.legs[sharp].seq, sortie.legs[tight].seq
-    if sortie.vehicle_class == "plane":
-        tightest = _tightest_flown_m(flight)
     if sharpest > limits.turn_angle_rad + _ANGLE_SLACK_RAD:
         return Finding(
             "turn",
@@ -601,9 +602,17 @@ def _turns(flight: Flight) -> Finding:
         sortie.name,
         True,
         f"turns by at most {math.degrees(sharpest):.0f} degrees"
-        + (f", with a radius of at least {limits.turn_radius_m:g} m" if limits.turn_radius_m > 0.0 else ""),
+        + _radius_told(flight),
         unit="",
     )
+
+
+def _radius_told(flight: Flight) -> str:
+    if flight.sortie.vehicle_class == "plane":
+        flown_m = _tightest_flown_m(flight)
+        return f", flown with a radius of at least {flown_m:.0f} m" if math.isfinite(flown_m) else ""
+    allowed_m = flight.task.limits.turn_radius_m
+    return f", with a radius of at least {allowed_m:g} m" if allowed_m > 0.0 else ""
 
 
 def turns_allowed(task: VehicleTask, waypoints_m: FloatArray) -> bool:
@@ -628,8 +637,8 @@ def _corners(task: VehicleTask, waypoints_m: FloatArray, stops: npt.NDArray[np.b
 
 
 def _tightest_flown_m(flight: Flight) -> float:
-    """Return the least radius of a plane's predicted flight once it has taken off."""
-    airborne = flight.trajectory.t_s >= flight.reached_s[0]
+    """Return the least radius, over a second, of a plane's predicted flight once it has taken off."""
+    airborne = np.flatnonzero(flight.trajectory.t_s >= flight.reached_s[0])[:: round(1.0 / TICK_S)]
     place_m = flight.trajectory.position_m[airborne, :2]
     if not wind.calm(flight.task.motion):  # as the air sees it, which is what its bank is for
         place_m = place_m - flight.trajectory.t_s[airborne, np.newaxis] * flight.task.motion.wind_m_s
@@ -639,7 +648,7 @@ def _tightest_flown_m(flight: Flight) -> float:
     turning = np.abs(turn) > 1e-6
     if not turning.any():
         return math.inf
-    return float((0.5 * (length[:-1] + length[1:])[turning] / np.abs(turn[turning])).min()) * (1.0 + 1e-2)
+    return float((0.5 * (length[:-1] + length[1:])[turning] / np.abs(turn[turning])).min())
 
 
 def _speeds(flight: Flight) -> Finding:

@@ -15,10 +15,12 @@ VehicleClass = Literal["copter", "plane"]
 Ending = Literal["land", "rtl", "loiter"]
 
 
-TAKEOFF_ACCELERATION_M_S2 = 5.0
-LIFT_OFF_SHARE = 0.8
-"""A plane rolls at full throttle up to this share of its cruise speed, then climbs (ArduPlane 4.5 in SITL)."""
-_PULL_UP_S = 0.5  # what is lost until it climbs at its greatest rate
+_TAKEOFF_ROLL_M, _TAKEOFF_ROLL_S = (
+    37.0,
+    0.6,
+)  # a plane's; in a tailwind longer (as simulated, and recorded without wind)
+_TAKEOFF_ANGLE_DEG = 5.0  # how much steeper than its nose points it climbs then
+_TAKEOFF_CLIMB_M_S = 7.0  # the wind carries it so long
 
 
 def true_airspeed(alt_amsl_m: float) -> float:
@@ -87,6 +89,29 @@ class ArducopterTuning:
 
 
 @dataclass(frozen=True, slots=True)
+class PlaneTuning:
+    """Parameters of planes that no mission sets; defaults of ArduPlane 4.5's simulated plane (SITL's plane.parm)."""
+
+    l1_period_s: float = 15.0  # NAVL1_PERIOD
+    l1_damping: float = 0.75  # NAVL1_DAMPING
+    l1_integral: float = 0.02  # NAVL1_XTRACK_I
+    roll_max_deg: float = 65.0  # ROLL_LIMIT_DEG, LIM_ROLL_CD / 100
+    roll_time_s: float = 0.25  # RLL2SRV_TCONST
+    pitch_max_deg: float = 15.0  # TECS_PITCH_MAX, unless PTCH_LIM_MAX_DEG, LIM_PITCH_MAX / 100 is less
+    pitch_min_deg: float = -20.0  # TECS_PITCH_MIN if below 0, else PTCH_LIM_MIN_DEG, LIM_PITCH_MIN / 100
+    pitch_time_s: float = 0.25  # PTCH2SRV_TCONST
+    cruise_throttle: float = 0.5  # TRIM_THROTTLE / 100
+    throttle_slew: float = 1.0  # THR_SLEWRATE / 100: share of the range per second
+    sink_min_m_s: float = 2.0  # TECS_SINK_MIN
+    energy_time_s: float = 5.0  # TECS_TIME_CONST
+    takeoff_pitch_deg: float = 15.0  # the take-off item's first parameter
+    level_off_s: float = 2.0  # TKOFF_PLIM_SEC
+    slope_min_m: float = 15.0  # ALT_SLOPE_MIN, GLIDE_SLOPE_MIN: a smaller change of height is made at once
+    thrust_to_weight: float = 1.34  # the greatest, measured on take-offs; drag is that of the simulated airframe
+    airspeed_reads_low: float = 0.018  # share of the airspeed (measured: 23.1 m/s true for 22 set at 644 m AMSL)
+
+
+@dataclass(frozen=True, slots=True)
 class MotionModel:
     """What the navigator of one vehicle does with a path; the planner's clock and the simulator share it."""
 
@@ -102,6 +127,7 @@ class MotionModel:
     wind_m_s: tuple[float, float] = (0.0, 0.0)  # steady velocity of the air: east, north
     px4: Px4Tuning = Px4Tuning()  # PX4 multicopters only
     arducopter: ArducopterTuning = ArducopterTuning()  # ArduCopter only
+    plane: PlaneTuning = PlaneTuning()  # planes only
     # planes only
     cruise_speed_m_s: float = 22.0  # while no mission says otherwise: on take-off and on the way home
     loiter_radius_m: float = 60.0
@@ -128,10 +154,9 @@ class MotionModel:
 
     def takeoff_distance_m(self, height_m: float, home_amsl_m: float, tailwind_m_s: float = 0.0) -> float:
         """Return how far from its home a plane that climbs at its greatest rate has gained a height; 0: lifts off."""
-        speed_m_s = self.cruise_speed_m_s * true_airspeed(home_amsl_m + height_m)
-        lift_off_m_s = LIFT_OFF_SHARE * speed_m_s + tailwind_m_s
-        roll_m = lift_off_m_s**2 / (2.0 * TAKEOFF_ACCELERATION_M_S2)
-        return roll_m + (height_m / self.climb_rate_m_s + _PULL_UP_S) * (speed_m_s + tailwind_m_s)
+        roll_m = _TAKEOFF_ROLL_M * math.sqrt(true_airspeed(home_amsl_m)) + _TAKEOFF_ROLL_S * tailwind_m_s
+        angle_rad = math.radians(self.plane.takeoff_pitch_deg + _TAKEOFF_ANGLE_DEG)
+        return roll_m + height_m * (1.0 / math.tan(angle_rad) + tailwind_m_s / _TAKEOFF_CLIMB_M_S)
 
 
 @dataclass(frozen=True, slots=True)

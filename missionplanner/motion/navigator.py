@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.motion import arducopter, plane, px4
 from missionplanner.motion.routes import Route
@@ -30,6 +31,7 @@ from missionplanner.motion.state import (
     NAVIGATOR,
     NEW_SPEED,
     PHASE,
+    PLANE,
     POSITION,
     PX4,
     REACHED,
@@ -181,11 +183,19 @@ class Navigator:
         if np.any(self._floats[0, WIND : WIND + 2]):  # against it, legs are flown if at least so much is left
             slowest = min(slowest, 1.0)
         length_m = float(np.linalg.norm(np.diff(np.vstack([self.position_m, route.points_m]), axis=0), axis=1).sum())
+        wind_m_s = float(np.hypot(*self._floats[0, WIND : WIND + 2]))
+        if self._integers[0, NAVIGATOR] == PLANE:  # against the wind, and somewhat slower than that at the worst
+            slowest = max(slowest - wind_m_s, 0.1 * slowest)
         longest_s = 60.0 * (1 + len(route.points_m)) + float(route.hold_s.sum()) + 3.0 * length_m / slowest
         flown = np.empty((int(longest_s / TICK_S), 3))
         flown[0] = self.position_m[0]
         ticks = _run(self._floats, self._integers, self._routes, len(flown) - 1, TICK_S, flown)
-        assert self.finished[0], "a route is flown in bounded time"
+        if not self.finished[0]:
+            point, many = int(self.waypoint[0]) + 1, len(route.points_m)
+            raise InfeasibleError(
+                f"point {point} of {many} of a route: expected an arrival within {longest_s:.0f} s of its beginning, "
+                f"got none in a wind of {wind_m_s:.1f} m/s: fly faster or in less wind"
+            )
         t_s = TICK_S * np.arange(ticks + 1, dtype=float)
         return Trajectory(t_s, flown[: ticks + 1].copy()), self.reached_s[0, : len(route.points_m)].copy()
 

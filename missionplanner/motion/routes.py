@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from missionplanner.geodesy import FloatArray
+from missionplanner.motion.state import AT_ONCE
 from missionplanner.vehicle import MotionModel
 
 _ARDUCOPTER_SPOOL_S = 0.8  # from the command to the lift-off: MOT_SPOOL_TIME, TKOFF_SLEW_TIME
@@ -25,7 +26,8 @@ class Route(NamedTuple):
 
     ``points_m`` (W, 3), ``speed_m_s`` (W,) horizontal speed of the leg *to* each point, ``hold_s`` (W,) time to stand
     still at each point, ``vertical_m_s`` (W,) upper bound on the climb and descent rate of each leg, ``by_altitude``
-    (W,) whether a plane has reached the point once it is as high or low as that, wherever: take-off and landing.
+    (W,) whether a plane has reached the point once it is as high or low as that, wherever: take-off and landing; or, on
+    its way home (-1), once it circles there.
     """
 
     points_m: FloatArray
@@ -99,14 +101,14 @@ def landing_s(model: MotionModel, height_m: float) -> float:
 def return_points(model: MotionModel, from_m: npt.ArrayLike, home_m: npt.ArrayLike) -> Route:
     """Return the way home (RTL): up to the return height if below it, straight home, wait, land.
 
-    A plane climbs or sinks on the way, at its cruise speed, and then circles above home: nobody lands it.
+    A plane turns home and climbs at once, or sinks on the way, at its cruise speed; it circles there: nobody lands it.
     """
     start = np.asarray(from_m, dtype=float)
     home = np.asarray(home_m, dtype=float)
     height = model.return_alt_amsl_m(float(start[2]), float(home[2]))
     above = np.array([home[0], home[1], height])
     if model.vehicle_class == "plane":
-        return Route.through([above], model.cruise_speed_m_s)
+        return Route.through([above], model.cruise_speed_m_s, by_altitude=AT_ONCE)
     ardupilot = model.autopilot == "ardupilot"
     speed_m_s = model.arducopter.homing_m_s if ardupilot else model.px4.return_speed_m_s
     wait_s = model.arducopter.return_wait_s if ardupilot else model.px4.return_wait_s

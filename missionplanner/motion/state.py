@@ -39,6 +39,7 @@ IDLE, STARTING, FLYING, HOLDING = range(4)  # phases
 
 # Columns of a route: the point, the leg to it, the hold there, how a plane reaches it, and when it was reached.
 SPEED, HOLD, VERTICAL, BY_ALTITUDE, REACHED, ROUTE = 3, 4, 5, 6, 7, 8
+AT_ONCE = -1.0  # of BY_ALTITUDE: a plane turns and climbs to it at once, and has reached it once it circles there
 
 # Float columns. First what the vehicle does ...
 POSITION, VELOCITY, THRUST, INTEGRAL = 0, 3, 6, 9  # three each; thrust: acceleration by leaning; sum of velocity errors
@@ -77,6 +78,22 @@ TAKEOFF_SPEED, TAKEOFF_RAMP, LAND_SPEED, CRAWL, SLOW_BELOW, LAND_BELOW, CRAWL_BE
 DERIVATIVE_GAIN, VERTICAL_POSITION_GAIN, VERTICAL_VELOCITY_GAIN, VERTICAL_INTEGRAL_GAIN = range(LEGS + 32, LEGS + 36)
 LIFT_MAX, HOVER_GAIN = LEGS + 36, LEGS + 37
 
+# Columns of planes, where copters have their legs. First their parameters (see vehicle.PlaneTuning), ...
+L1_PERIOD, L1_DAMPING, L1_INTEGRAL, ROLL_MAX, PITCH_MAX, PITCH_MIN, ROLL_TIME, PITCH_TIME = range(LEGS, LEGS + 8)
+AIRSPEED_MIN, AIRSPEED_MAX, CRUISE, CRUISE_THROTTLE, THROTTLE_SLEW, SINK_MIN = range(LEGS + 8, LEGS + 14)
+ENERGY_TIME, TAKEOFF_PITCH, LEVEL_OFF_TIME, SLOPE_MIN, SENSOR_FACTOR, THRUST_MAX = range(LEGS + 14, LEGS + 20)
+# ... then how they fly: Euler angles, turn rates about the body's axes (three), deflections of aileron and elevator,
+# and what their controllers ask for and remember: all this is trimmed anew where a flight begins in the air, ...
+ROLL, PITCH, YAW, SPIN, SERVO, SERVO_INTEGRAL, SPIN_WANTED = (LEGS + i for i in (20, 21, 22, 23, 26, 28, 30))
+THROTTLE, THROTTLE_SENT, ROLL_WANTED, PITCH_WANTED, THROTTLE_WANTED, RUSH, RUSH_LAGGED = range(LEGS + 32, LEGS + 39)
+HEIGHT_ASKED, HEIGHT_LIMITED, HEIGHT_LAGGED, HEIGHT_OFFSET, HEIGHT_WANTED = range(LEGS + 39, LEGS + 44)
+CLIMB_SHARE, SINK_SHARE, SPEED_WANTED, SPEED_LAGGED, SPEED_INTEGRAL, FASTEST = range(LEGS + 44, LEGS + 50)
+PITCH_INTEGRAL, PITCH_UNLIMITED, PITCH_RAW, PITCH_CLIPPED, CROSS_INTEGRAL, LAST_BEND = range(LEGS + 50, LEGS + 56)
+THROTTLE_RAW, THROTTLE_INTEGRAL, THROTTLE_CLIPPED, ENERGY_RATE_ERROR = range(LEGS + 56, LEGS + 60)
+# ... then where they have got to.
+AIRBORNE, FAST_TIME, CLOCK, DIRECT, SLOPE, LEVEL_OFF, ON_CIRCLE, HEADING = range(LEGS + 60, LEGS + 68)
+DENSITY, SENSOR = range(LEGS + 68, LEGS + 70)  # of the air here; true airspeed per one that is read
+
 _GRAVITY_M_S2 = 9.80665
 
 
@@ -102,7 +119,7 @@ def initial(model: MotionModel, position_m: npt.ArrayLike) -> tuple[FloatArray, 
     row[WIND : WIND + 2] = model.wind_m_s
     if model.vehicle_class == "plane":
         number[NAVIGATOR] = PLANE
-        row[VERTICAL_ACCELERATION] = 3.0  # TECS_VERT_ACC is 7; kept gentle as pitch limits do
+        _tune_plane(row, model)
     elif model.autopilot == "ardupilot":
         number[NAVIGATOR] = ARDUCOPTER
         _tune_arducopter(row, model.arducopter)
@@ -151,3 +168,19 @@ def _tune(row: FloatArray, px4: Px4Tuning) -> None:
     row[DRAG] = px4.drag_s
     row[HOVER], row[HOVER_GAIN] = 1.0, 0.07
     row[GROUND], row[RAMP] = -math.inf, math.inf
+
+
+def _tune_plane(row: FloatArray, model: MotionModel) -> None:
+    """Write a plane's parameters."""
+    plane = model.plane
+    row[L1_PERIOD], row[L1_DAMPING], row[L1_INTEGRAL] = plane.l1_period_s, plane.l1_damping, plane.l1_integral
+    row[ROLL_MAX] = math.radians(plane.roll_max_deg)
+    row[PITCH_MAX], row[PITCH_MIN] = math.radians(plane.pitch_max_deg), math.radians(plane.pitch_min_deg)
+    row[ROLL_TIME], row[PITCH_TIME] = plane.roll_time_s, plane.pitch_time_s
+    slowest, fastest = model.airspeed_limits_m_s
+    row[AIRSPEED_MIN], row[AIRSPEED_MAX] = slowest or 10.0, fastest if fastest < math.inf else 30.0
+    row[CRUISE], row[CRUISE_THROTTLE] = model.cruise_speed_m_s, plane.cruise_throttle
+    row[THROTTLE_SLEW], row[SINK_MIN], row[ENERGY_TIME] = plane.throttle_slew, plane.sink_min_m_s, plane.energy_time_s
+    row[THRUST_MAX] = _GRAVITY_M_S2 * plane.thrust_to_weight
+    row[TAKEOFF_PITCH], row[LEVEL_OFF_TIME] = math.radians(plane.takeoff_pitch_deg), plane.level_off_s
+    row[SLOPE_MIN], row[SENSOR_FACTOR] = plane.slope_min_m, 1.0 + plane.airspeed_reads_low
