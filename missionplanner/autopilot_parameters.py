@@ -200,6 +200,11 @@ def differences(kind: Kind, model: object, values: Mapping[str, float]) -> tuple
     return tuple(found)
 
 
+def usual(kind: Kind, model: object) -> bool:
+    """Return whether a motion model is that of a vehicle with the default parameters, whatever height it returns at."""
+    return all(p.sent or same(value_of(model, p.field), p.default) for p in _TABLES[kind])
+
+
 def missing(kind: Kind, names: Iterable[str]) -> tuple[Parameter, ...]:
     """Return the parameters that a vehicle holds under none of their names; those that a plan sets do not count."""
     there = set(names)

@@ -18,6 +18,7 @@ from missionplanner.autopilot_parameters import (
     held,
     missing,
     parameters,
+    usual,
     value_of,
     with_values,
 )
@@ -31,7 +32,7 @@ KINDS: list[Kind] = [COPTER, PLANE, ("px4", "copter"), ("px4", "plane")]
 EACH = pytest.mark.parametrize("kind", KINDS)
 
 
-def usual(kind: Kind, **changes: Any) -> MotionModel:
+def model_of(kind: Kind, **changes: Any) -> MotionModel:
     autopilot, vehicle_class = kind
     return motion_model(VehicleSettings(autopilot=autopilot, vehicle_class=vehicle_class, **changes))
 
@@ -44,16 +45,26 @@ def test_every_parameter_sets_a_field_of_its_own(kind: Kind) -> None:
     assert len(set(names)) == len(names)
     assert all(len(name) <= 16 for name in names)  # what MAVLink carries
     for parameter in table:
-        other = with_values(usual(kind), {parameter.field: 0.5 * parameter.default + 1.0})
+        other = with_values(model_of(kind), {parameter.field: 0.5 * parameter.default + 1.0})
         assert value_of(other, parameter.field) == 0.5 * parameter.default + 1.0
         for fellow in table:
             if fellow is not parameter:
-                assert value_of(other, fellow.field) == value_of(usual(kind), fellow.field)
+                assert value_of(other, fellow.field) == value_of(model_of(kind), fellow.field)
+
+
+@EACH
+def test_what_is_set_otherwise_is_told_from_the_usual(kind: Kind) -> None:
+    model = model_of(kind)
+    assert usual(kind, model)
+    assert usual(kind, with_values(model, {"return_height_m": 77.0}))
+    for parameter in parameters(kind):
+        if not parameter.sent:
+            assert not usual(kind, with_values(model, {parameter.field: 1.01 * parameter.default + 0.01}))
 
 
 @EACH
 def test_the_tables_are_where_defaults_come_from(kind: Kind) -> None:
-    model = usual(kind)
+    model = model_of(kind)
     for parameter in parameters(kind):
         assert value_of(model, parameter.field) == parameter.default
         assert parameter.low <= parameter.default <= parameter.high
@@ -71,10 +82,10 @@ def test_what_tuning_says_by_itself_is_what_its_table_says(kind: Kind) -> None:
 
 @EACH
 def test_a_vehicle_with_the_defaults_differs_in_nothing(kind: Kind) -> None:
-    model = usual(kind)
+    model = model_of(kind)
     assert differences(kind, model, held(kind, model)) == ()
     assert missing(kind, held(kind, model)) == ()
-    again = usual(kind, parameters=held(kind, model))
+    again = model_of(kind, parameters=held(kind, model))
     for parameter in parameters(kind):
         assert value_of(again, parameter.field) == pytest.approx(parameter.default, rel=1e-7)
 
@@ -114,7 +125,7 @@ def test_what_is_wrong_is_told(kind: Kind, values: dict[str, float], problem: st
 
 
 def test_differences_are_told_in_the_vehicles_units() -> None:
-    model = usual(COPTER)
+    model = model_of(COPTER)
     values = held(COPTER, model) | {"WPNAV_ACCEL": 100.0, "RTL_ALT": 9900, "ARMING_CHECK": 1, "RTL_ALT_FINAL": 500}
     found = differences(COPTER, model, values)
     assert [(d.name, d.planned, d.held, d.plannable) for d in found] == [
@@ -129,7 +140,7 @@ def test_differences_are_told_in_the_vehicles_units() -> None:
 
 
 def test_only_what_has_changed_and_makes_sense_changes_a_model() -> None:
-    before = held(COPTER, usual(COPTER))
+    before = held(COPTER, model_of(COPTER))
     after = before | {"WPNAV_ACCEL": 100.0, "WPNAV_RADIUS": -3.0, "WPNAV_JERK": math.nan, "ARMING_CHECK": 0}
     assert changed(COPTER, before, after) == {"acceleration_m_s2": 1.0}
 
