@@ -97,8 +97,9 @@ class PlaneTuning:
     l1_integral: float = 0.02  # NAVL1_XTRACK_I
     roll_max_deg: float = 65.0  # ROLL_LIMIT_DEG, LIM_ROLL_CD / 100
     roll_time_s: float = 0.25  # RLL2SRV_TCONST
-    pitch_max_deg: float = 15.0  # TECS_PITCH_MAX, unless PTCH_LIM_MAX_DEG, LIM_PITCH_MAX / 100 is less
-    pitch_min_deg: float = -20.0  # TECS_PITCH_MIN if below 0, else PTCH_LIM_MIN_DEG, LIM_PITCH_MIN / 100
+    pitch_max_deg: float = 15.0  # TECS_PITCH_MAX; 0: the limit
+    pitch_min_deg: float = 0.0  # TECS_PITCH_MIN; 0: the limit
+    pitch_limits_deg: tuple[float, float] = (-20.0, 25.0)  # PTCH_LIM_MIN_DEG, PTCH_LIM_MAX_DEG; LIM_PITCH_* / 100
     pitch_time_s: float = 0.25  # PTCH2SRV_TCONST
     cruise_throttle: float = 0.5  # TRIM_THROTTLE / 100
     throttle_slew: float = 1.0  # THR_SLEWRATE / 100: share of the range per second
@@ -109,6 +110,12 @@ class PlaneTuning:
     slope_min_m: float = 15.0  # ALT_SLOPE_MIN, GLIDE_SLOPE_MIN: a smaller change of height is made at once
     thrust_to_weight: float = 1.34  # the greatest, measured on take-offs; drag is that of the simulated airframe
     airspeed_reads_low: float = 0.018  # share of the airspeed (measured: 23.1 m/s true for 22 set at 644 m AMSL)
+
+    @property
+    def pitch_range_deg(self) -> tuple[float, float]:
+        """How far its nose points down and up at most."""
+        low, high = self.pitch_limits_deg
+        return max(self.pitch_min_deg or low, low), min(self.pitch_max_deg or high, high)
 
 
 @dataclass(frozen=True, slots=True)

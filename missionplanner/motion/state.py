@@ -175,7 +175,7 @@ def _tune_plane(row: FloatArray, model: MotionModel) -> None:
     plane = model.plane
     row[L1_PERIOD], row[L1_DAMPING], row[L1_INTEGRAL] = plane.l1_period_s, plane.l1_damping, plane.l1_integral
     row[ROLL_MAX] = math.radians(plane.roll_max_deg)
-    row[PITCH_MAX], row[PITCH_MIN] = math.radians(plane.pitch_max_deg), math.radians(plane.pitch_min_deg)
+    row[PITCH_MIN], row[PITCH_MAX] = map(math.radians, plane.pitch_range_deg)
     row[ROLL_TIME], row[PITCH_TIME] = plane.roll_time_s, plane.pitch_time_s
     slowest, fastest = model.airspeed_limits_m_s
     row[AIRSPEED_MIN], row[AIRSPEED_MAX] = slowest or 10.0, fastest if fastest < math.inf else 30.0
