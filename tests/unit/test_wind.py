@@ -241,7 +241,7 @@ def test_distances_from_legs_are_those_of_the_nearest() -> None:
 @settings(max_examples=15, deadline=None)
 @given(air=airs, angle=courses, plane=st.booleans())
 def test_turning_mission_and_wind_together_changes_nothing(air: tuple[float, float], angle: float, plane: bool) -> None:
-    """But for PX4's copters, that limit north and east each by itself."""
+    """But for PX4's copters, that limit north and east each by itself; a plane may see a corner one look later."""
     line = np.array([[60.0, 0.0, 50.0], [100.0, 70.0, 60.0], [20.0, 110.0, 50.0]])
     if plane:
         line *= [10.0, 10.0, 1.0]
@@ -250,9 +250,9 @@ def test_turning_mission_and_wind_together_changes_nothing(air: tuple[float, flo
     around = replace(known, motion=blown(known.motion, *turned(np.array(air), angle)))
     one, reached_s = predict(known.motion, np.array([0.0, 0.0, 50.0]), line, speed)
     other, turned_s = predict(around.motion, np.array([0.0, 0.0, 50.0]), turned(line, angle), speed)
-    assert turned_s == pytest.approx(reached_s, abs=0.1)
-    assert used_share(around, other, 0.0)[-1] == pytest.approx(used_share(known, one, 0.0)[-1], rel=2e-3)
-    assert np.abs(other.at(one.t_s) - turned(one.position_m, angle)).max() < 0.5
+    assert turned_s == pytest.approx(reached_s, abs=0.3 if plane else 0.1)
+    assert used_share(around, other, 0.0)[-1] == pytest.approx(used_share(known, one, 0.0)[-1], rel=5e-3)
+    assert np.abs(other.at(one.t_s) - turned(one.position_m, angle)).max() < (8.0 if plane else 0.5)
 
 
 @pytest.mark.parametrize("model", [*COPTERS, PLANE])
