@@ -235,12 +235,13 @@ def _predicted(scene: Scene, task: VehicleTask, sortie: Sortie, until_s: float =
         np.array([leg.end_m for leg in sortie.legs]),
         np.array([leg.speed_m_s for leg in sortie.legs[1:]] or [sortie.legs[0].speed_m_s]),
         hold_s=np.array([leg.hold_s for leg in sortie.legs[1:]] or [0.0]),
+        spline=np.array([leg.kind == "spline" for leg in sortie.legs[1:]] or [False]),
         end=sortie.ending,
         ground_amsl_m=ground_m if math.isfinite(ground_m) else float(sortie.home_m[2]),
         start_delay_s=sortie.start_delay_s,
         until_s=until_s,
     )
-    timed = not sortie.gaps and all(leg.kind in ("takeoff", "straight") for leg in sortie.legs)
+    timed = not sortie.gaps and all(leg.kind in ("takeoff", "straight", "spline") for leg in sortie.legs)
     return Flight(task, sortie, trajectory, reached_s, timed)
 
 
@@ -601,8 +602,7 @@ def _turns(flight: Flight) -> Finding:
         "turn",
         sortie.name,
         True,
-        f"turns by at most {math.degrees(sharpest):.0f} degrees"
-        + _radius_told(flight),
+        f"turns by at most {math.degrees(sharpest):.0f} degrees" + _radius_told(flight),
         unit="",
     )
 
@@ -683,6 +683,8 @@ def _in_wind(scene: Scene, flight: Flight, tubes: Sequence[_Tube]) -> list[Findi
         remedy = "" if drift_m <= allowed_m else "fly in less wind, or state a greater tracking_error_m"
         findings.append(Finding("takeoff", sortie.name, not remedy, detail, remedy, drift_m, allowed_m))
     if wind.calm(motion):
+        if flight.timed and any(leg.kind == "spline" for leg in sortie.legs):
+            findings.append(_near(flight, tubes, "", "fly slower: it does not slow down ahead of a spline's bend"))
         return findings
     if motion.vehicle_class == "copter":
         findings += _held(flight, tubes)
@@ -694,13 +696,8 @@ def _in_wind(scene: Scene, flight: Flight, tubes: Sequence[_Tube]) -> list[Findi
 def _held(flight: Flight, tubes: Sequence[_Tube]) -> list[Finding]:
     """Return whether a copter's predicted flight stays near its legs, and which it flies slower than commanded."""
     sortie, motion = flight.sortie, flight.task.motion
-    pieces = np.concatenate([tube.pieces for tube in tubes])
-    wider_m = max(tube.wider_m for tube in tubes)
-    off_m, allowed_m = wind.off_legs_m(flight.trajectory, pieces), flight.task.limits.deviation_m + wider_m
-    held = off_m <= allowed_m
-    detail = f"is predicted at most {off_m:.2f} m off its legs in {wind.told(motion)}, allowed {allowed_m:g} m"
-    remedy = "" if held else "fly slower: who leans as far as it may has nothing left against the wind"
-    findings = [Finding("speed", sortie.name, held, detail, remedy, off_m, allowed_m)]
+    remedy = "fly slower: who leans as far as it may has nothing left against the wind"
+    findings = [_near(flight, tubes, f" in {wind.told(motion)}", remedy)]
     airspeed_m_s = wind.airspeed_limit_m_s(motion)
     slow = []
     for before, leg in pairwise(sortie.legs):
@@ -712,6 +709,16 @@ def _held(flight: Flight, tubes: Sequence[_Tube]) -> list[Finding]:
         detail = f"makes {made_m_s:.1f} of the {leg.speed_m_s:g} m/s commanded in {wind.told(motion)}; predicted so"
         findings.append(Finding("speed", sortie.name, True, detail, "", made_m_s, leg.speed_m_s, "m/s", seq=leg.seq))
     return findings
+
+
+def _near(flight: Flight, tubes: Sequence[_Tube], air: str, remedy: str) -> Finding:
+    """Return whether a copter's predicted flight stays as near its legs as their tubes allow for."""
+    pieces = np.concatenate([tube.pieces for tube in tubes])
+    wider_m = max(tube.wider_m for tube in tubes)
+    off_m, allowed_m = wind.off_legs_m(flight.trajectory, pieces), flight.task.limits.deviation_m + wider_m
+    near = off_m <= allowed_m
+    detail = f"is predicted at most {off_m:.2f} m off its legs{air}, allowed {allowed_m:g} m"
+    return Finding("speed", flight.sortie.name, near, detail, "" if near else remedy, off_m, allowed_m)
 
 
 def _home_against_the_wind(flight: Flight, *, waived: bool) -> Finding:

@@ -31,6 +31,7 @@ def predict_flight(
     speed_m_s: npt.ArrayLike,
     *,
     hold_s: npt.ArrayLike | None = None,
+    spline: npt.ArrayLike | None = None,
     end: Ending = "loiter",
     ground_amsl_m: float = 0.0,
     start_delay_s: float = 0.0,
@@ -46,6 +47,7 @@ def predict_flight(
     ----------
     speed_m_s : of all legs, or of each leg (W - 1,)
     hold_s : how long it stands still at each waypoint but the first (W - 1,); default: nowhere
+    spline : whether an ArduCopter flies a spline to each waypoint but the first (W - 1,); default: nowhere
     ground_amsl_m : the ground under the last waypoint, for ``end="land"``
     start_delay_s : time at home before the start
     until_s : time up to which the flight is of interest; one that has landed stays where it is anyway
@@ -53,10 +55,12 @@ def predict_flight(
     home = np.asarray(home_m, dtype=float)
     waypoints = np.asarray(waypoints_m, dtype=float).reshape(-1, 3)
     navigator = Navigator([model], home[None])
-    parts, reached_s = _outbound(navigator, model, home, waypoints, speed_m_s, hold_s)
+    parts, reached_s = _outbound(navigator, model, home, waypoints, speed_m_s, hold_s, spline)
     last_m_s = float(np.ravel(speed_m_s)[-1])
     match end:
         case "land":
+            if model.autopilot == "ardupilot" and model.vehicle_class == "copter":  # first to the place, as told
+                parts.append(navigator.fly(Route.through(waypoints[-1:], last_m_s))[0])
             way = landing_points(model, waypoints[-1], ground_amsl_m, last_m_s)
         case "rtl":
             way = return_points(model, navigator.position_m[0], home)
@@ -89,13 +93,14 @@ def _outbound(
     waypoints: FloatArray,
     speed_m_s: npt.ArrayLike,
     hold_s: npt.ArrayLike | None = None,
+    spline: npt.ArrayLike | None = None,
 ) -> tuple[list[Trajectory], FloatArray]:
     """Fly take-off and legs; return their trajectories and when the waypoints were reached, without delay."""
     takeoff, times = navigator.fly(takeoff_points(model, home, waypoints[0]))
     parts = [takeoff]
     reached_s = times[-1:]
     if len(waypoints) > 1:
-        legs, times = navigator.fly(Route.through(waypoints[1:], speed_m_s, hold_s))
+        legs, times = navigator.fly(Route.through(waypoints[1:], speed_m_s, hold_s, spline=spline))
         parts.append(legs)
         reached_s = np.concatenate([reached_s, float(takeoff.t_s[-1]) + times])
     return parts, reached_s
@@ -176,11 +181,35 @@ def least_separation(trajectories: Sequence[Trajectory], near_m: float | None = 
     trees = _time_trees(trajectories)
     most_m = math.inf if near_m is None else near_m
     found = []
-    for i, j in combinations(range(len(trees)), 2):
+    for i, j in combinations(range(len(trees)), 2) if near_m is None else _near_pairs(trees, near_m):
         distance_m, t_s = closest_approach(trees[i], trees[j], most_m)
         if distance_m < most_m:
             found.append(Separation(i, j, distance_m, t_s, trajectories[i].at(t_s), trajectories[j].at(t_s)))
     return found
+
+
+def tightest_pair(trajectories: Sequence[Trajectory], required_m: Callable[[int, int], float]) -> Separation | None:
+    """Return of all pairs the one whose least distance exceeds what i and j require by the least; None of none.
+
+    As :func:`least_separation` finds it, to 0.1 micrometres; pairs that cannot be it are hardly looked at.
+    """
+    trees = _time_trees(trajectories)
+    boxes = _boxes(trees)
+    rooms = []
+    for i, j in combinations(range(len(trees)), 2):
+        gaps = np.maximum(0.0, np.maximum(boxes[i, :3] - boxes[j, 3:], boxes[j, :3] - boxes[i, 3:]))
+        need_m = required_m(i, j)
+        rooms.append((math.sqrt(gaps @ gaps) - need_m, i, j, need_m))
+    tightest: Separation | None = None
+    least_m = math.inf
+    for room_m, i, j, need_m in sorted(rooms):
+        if room_m >= least_m:
+            break
+        distance_m, t_s = closest_approach(trees[i], trees[j], least_m + need_m)
+        if distance_m - need_m < least_m:
+            least_m = distance_m - need_m
+            tightest = Separation(i, j, distance_m, t_s, trajectories[i].at(t_s), trajectories[j].at(t_s))
+    return tightest
 
 
 def lateness_slack(one: Trajectory, other: Trajectory, required_m: float, limit_s: float = 60.0) -> float:
@@ -202,11 +231,31 @@ def least_slack(
     The first is how early or late any one vehicle may be, all others being on time.
     """
     trees = _time_trees(trajectories)
-    found = [
-        Slack(i, j, _least_lateness(trees[i], trees[j], required_m(i, j), limit_s))
-        for i, j in combinations(range(len(trees)), 2)
-    ]
-    return sorted(found, key=lambda slack: slack.slack_s)
+    need_m = {pair: required_m(*pair) for pair in combinations(range(len(trees)), 2)}
+    slack_s = dict.fromkeys(need_m, limit_s)  # whoever is never where another is may be as late as that
+    for i, j in _near_pairs(trees, max(need_m.values(), default=0.0)):
+        slack_s[i, j] = _least_lateness(trees[i], trees[j], need_m[i, j], limit_s)
+    return sorted((Slack(i, j, least_s) for (i, j), least_s in slack_s.items()), key=lambda slack: slack.slack_s)
+
+
+def _boxes(trees: Sequence[TimeTree]) -> FloatArray:
+    """Return the boxes (V, 6) of whole flights: least x, y, z, greatest x, y, z."""
+    return np.array([tree.box[1] for tree in trees]).reshape(-1, 6)
+
+
+def _near_pairs(trees: Sequence[TimeTree], near_m: float) -> list[tuple[int, int]]:
+    """Return the pairs whose boxes are nearer than that, in order: sorted along x, and swept."""
+    boxes = _boxes(trees)
+    order = np.argsort(boxes[:, 0], kind="stable")
+    begins = boxes[order, 0]
+    within_m = near_m + _ROUNDING_M
+    found: list[tuple[int, int]] = []
+    for rank, i in enumerate(order.tolist()):
+        others = order[rank + 1 : int(np.searchsorted(begins, boxes[i, 3] + within_m, side="right"))]
+        gaps = np.maximum(boxes[others, :3] - boxes[i, 3:], boxes[i, :3] - boxes[others, 3:])
+        near = others[(gaps <= within_m).all(axis=1)]
+        found += [(min(i, j), max(i, j)) for j in near.tolist()]
+    return sorted(found)
 
 
 def _time_trees(trajectories: Sequence[Trajectory]) -> list[TimeTree]:

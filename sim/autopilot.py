@@ -553,7 +553,7 @@ class Autopilot:
             if seq >= len(self.mission):
                 break
             item = self.mission[seq]
-            if item.command in NAV_COMMANDS:
+            if self._flies_to(item):
                 self.current = seq
                 self._announce(seq, item)
                 return
@@ -579,7 +579,10 @@ class Autopilot:
 
     def _complete(self, seq: int, now_s: float) -> None:
         self.events.append(Completed(seq))
-        if self.personality.announces_items and self.mission[seq].command == mavlink.MAV_CMD_NAV_WAYPOINT:
+        if self.personality.announces_items and self.mission[seq].command in (
+            mavlink.MAV_CMD_NAV_WAYPOINT,
+            mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT,
+        ):
             self._say(mavlink.MAV_SEVERITY_INFO, f"Reached command #{seq}")
         self._begin_item(seq + 1, now_s)
 
@@ -624,6 +627,7 @@ class Autopilot:
         speeds: list[float] = []
         holds: list[float] = []
         verticals: list[float] = []
+        splines: list[bool] = []
         seqs: list[int] = []
         here = self.position_m
         speed_m_s, climb_m_s, descent_m_s = self._speed_m_s, self._climb_m_s, self._descent_m_s
@@ -638,7 +642,7 @@ class Autopilot:
                 continue
             if item.command in (mavlink.MAV_CMD_DO_JUMP, mavlink.MAV_CMD_DO_SET_HOME):
                 break
-            if item.command not in NAV_COMMANDS:
+            if not self._flies_to(item):
                 continue
             hold_s = self._hold_s(item)
             if hold_s is None:
@@ -648,19 +652,25 @@ class Autopilot:
             speeds.append(speed_m_s)
             holds.append(hold_s)
             verticals.append(climb_m_s if place[2] > here[2] else descent_m_s)
+            splines.append(item.command == mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT)
             seqs.append(i)
             here = place
         if points:
-            route = Route.through(points, speeds, holds, verticals)
+            route = Route.through(points, speeds, holds, verticals, spline=splines)
             return [_Stage(_Doing.LEGS, route, tuple(seqs))]
         return self._special_stages(seq, self.mission[seq])
+
+    def _flies_to(self, item: MissionItem) -> bool:
+        """Whether an item is flown; ArduPlane skips spline waypoints, which it accepts all the same."""
+        spline = item.command == mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT
+        return item.command in NAV_COMMANDS and not (spline and self.personality.vehicle_class == "plane")
 
     def _hold_s(self, item: MissionItem) -> float | None:
         """Return how long a waypoint is held, or None where the item is more than a waypoint."""
         match item.command:
-            case mavlink.MAV_CMD_NAV_WAYPOINT | mavlink.MAV_CMD_NAV_LOITER_TIME:
+            case mavlink.MAV_CMD_NAV_WAYPOINT | mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT | mavlink.MAV_CMD_NAV_LOITER_TIME:
                 return _not_negative(item.param1)
-            case mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT | mavlink.MAV_CMD_NAV_LOITER_TO_ALT:
+            case mavlink.MAV_CMD_NAV_LOITER_TO_ALT:
                 return 0.0
             case _:
                 return None
@@ -706,7 +716,9 @@ class Autopilot:
             return [self._descent(place, seq)]
         above = np.array([place[0], place[1], here[2]])
         stages = [self._descent(above, seq)]
-        if math.dist(above[:2], here[:2]) > self._by_parameters().waypoint_radius_m:
+        away = math.dist(above[:2], here[:2]) > self._by_parameters().waypoint_radius_m
+        # ArduCopter flies to a place that is named even if it is there
+        if away or (self.personality.autopilot == "ardupilot" and (item.x != 0 or item.y != 0)):
             stages.insert(0, _Stage(_Doing.LEGS, self._leg(above), (-1,)))
         return stages
 

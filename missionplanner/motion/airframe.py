@@ -12,17 +12,17 @@ from missionplanner.motion.state import (
     DRAG_SQUARED,
     DRAG_VERTICAL,
     ERROR,
-    ERROR_TIME,
+    ERROR_SHARE,
     INTEGRAL,
     INTEGRAL_GAIN,
     LEAN,
+    LEAN_SHARE,
     LEAN_TARGET,
-    LEAN_TIME,
     LIFT_GAIN,
     LIFT_INTEGRAL_GAIN,
     POSITION,
     POSITION_GAIN,
-    RATE_TIME,
+    RATE_SHARE,
     RISE_GAIN,
     TARGET,
     TARGET_ACCELERATION,
@@ -38,7 +38,7 @@ from missionplanner.motion.state import (
 
 @kernel
 def follow_target(s: FloatArray, h: float) -> None:
-    """Move the vehicle by ``h`` seconds after its target.
+    """Move the vehicle by ``h`` seconds, which its lags were made for, after its target.
 
     P on the position, PID on the velocity, feed-forward of the target's velocity and acceleration; the sum is what the
     vehicle leans for, up to its lean limit, against a drag that grows with its speed through the air. At the limit,
@@ -46,24 +46,25 @@ def follow_target(s: FloatArray, h: float) -> None:
     """
     wish_x = _wish(s, 0, h)
     wish_y = _wish(s, 1, h)
-    asked_x, asked_y = wish_x, wish_y
-    limited = math.hypot(wish_x, wish_y) > s[LEAN]
+    asked_x = asked_y = held = 0.0
+    total2 = wish_x * wish_x + wish_y * wish_y
+    limited = total2 > s[LEAN] * s[LEAN]
     if limited:
+        asked_x, asked_y = wish_x, wish_y
         wish_x, wish_y = _within_lean(s, wish_x, wish_y)
-    held = math.hypot(s[INTEGRAL], s[INTEGRAL + 1])
-    grown_x = s[INTEGRAL] + s[INTEGRAL_GAIN] * s[ERROR] * h
-    grown_y = s[INTEGRAL + 1] + s[INTEGRAL_GAIN] * s[ERROR + 1] * h
-    grown = math.hypot(grown_x, grown_y)
-    if limited and grown > held and s[ERROR] * asked_x + s[ERROR + 1] * asked_y > 0.0:  # no wind-up against the limit
-        grown_x *= held / grown
-        grown_y *= held / grown
-    s[INTEGRAL], s[INTEGRAL + 1] = grown_x, grown_y
-    speed = math.hypot(s[VELOCITY] - s[WIND], s[VELOCITY + 1] - s[WIND + 1])
-    drag = s[DRAG] + s[DRAG_SQUARED] * speed
+        held = math.hypot(s[INTEGRAL], s[INTEGRAL + 1])
+    air_x, air_y = s[VELOCITY] - s[WIND], s[VELOCITY + 1] - s[WIND + 1]
+    drag = s[DRAG] + s[DRAG_SQUARED] * math.sqrt(air_x * air_x + air_y * air_y)
+    s[INTEGRAL] += s[INTEGRAL_GAIN] * s[ERROR] * h
+    s[INTEGRAL + 1] += s[INTEGRAL_GAIN] * s[ERROR + 1] * h
+    if limited and s[ERROR] * asked_x + s[ERROR + 1] * asked_y > 0.0:  # no wind-up against the lean limit
+        share = min(1.0, held / max(math.hypot(s[INTEGRAL], s[INTEGRAL + 1]), 1e-9))
+        s[INTEGRAL] *= share
+        s[INTEGRAL + 1] *= share
     for axis in range(2):
         wish = wish_x if axis == 0 else wish_y
-        s[LEAN_TARGET + axis] += (wish - s[LEAN_TARGET + axis]) * _share(h, s[LEAN_TIME])
-        s[THRUST + axis] += (s[LEAN_TARGET + axis] - s[THRUST + axis]) * _share(h, s[RATE_TIME])
+        s[LEAN_TARGET + axis] += (wish - s[LEAN_TARGET + axis]) * s[LEAN_SHARE]
+        s[THRUST + axis] += (s[LEAN_TARGET + axis] - s[THRUST + axis]) * s[RATE_SHARE]
         before = s[VELOCITY + axis]
         s[VELOCITY + axis] += (s[THRUST + axis] - drag * (before - s[WIND + axis])) * h
         s[POSITION + axis] += 0.5 * (before + s[VELOCITY + axis]) * h
@@ -89,10 +90,6 @@ def _within_lean(s: FloatArray, wish_x: float, wish_y: float) -> tuple[float, fl
 @kernel
 def _rise(s: FloatArray, h: float) -> None:
     """Move the vehicle vertically: P on the height, P on the rate, PI on the acceleration, which makes the lift."""
-    if s[ALTITUDE_GAIN] == 0.0:
-        s[VELOCITY + 2] = s[TARGET_VELOCITY + 2]
-        s[POSITION + 2] = s[TARGET + 2]
-        return
     rate = s[TARGET_VELOCITY + 2] + s[ALTITUDE_GAIN] * (s[TARGET + 2] - s[POSITION + 2])
     wish = s[TARGET_ACCELERATION + 2] + s[RISE_GAIN] * (rate - s[VELOCITY + 2])
     # the lift answers at once to LIFT_GAIN times what the acceleration lacks, and the rest is integrated
@@ -105,20 +102,13 @@ def _rise(s: FloatArray, h: float) -> None:
 
 
 @kernel
-def _share(h: float, time_s: float) -> float:
-    """Return how much of its way a first-order lag goes in a step."""
-    return h / (h + time_s)
-
-
-@kernel
 def _wish(s: FloatArray, axis: int, h: float) -> float:
     """Return the acceleration that the controller asks for, having filtered the error of the velocity."""
     lag = s[TARGET + axis] - s[POSITION + axis]
     error = s[TARGET_VELOCITY + axis] + s[POSITION_GAIN] * lag - s[VELOCITY + axis]
-    share = _share(h, s[ERROR_TIME])
-    before = s[ERROR + axis]
-    s[ERROR + axis] += (error - before) * share
-    s[DAMPING + axis] += ((s[ERROR + axis] - before) / h - s[DAMPING + axis]) * share
+    change = (error - s[ERROR + axis]) * s[ERROR_SHARE]
+    s[ERROR + axis] += change
+    s[DAMPING + axis] += (change / h - s[DAMPING + axis]) * s[ERROR_SHARE]
     return (
         s[TARGET_ACCELERATION + axis]
         + s[VELOCITY_GAIN] * s[ERROR + axis]

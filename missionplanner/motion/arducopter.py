@@ -14,27 +14,30 @@ import math
 
 import numpy as np
 
-from missionplanner.motion import scurve
+from missionplanner.motion import curve, scurve
 from missionplanner.motion.airframe import follow_target
 from missionplanner.motion.state import (
     ACCELERATION,
     ALTITUDE_GAIN,
+    ARRIVAL,
     BRAKED,
     BY_ALTITUDE,
     CLIMB,
+    CORNER,
     CORNER_ACCELERATION,
     COUNT,
+    CURVED,
     DESCENT,
     ELAPSED,
     FLYING,
     HALTED,
+    HERMITE,
     HOLD,
     HOLD_LEFT,
     HOLDING,
     IDLE,
     INTEGRAL,
     JERK,
-    TOUCHDOWN_RATE,
     LEG,
     LEGS,
     LENGTH,
@@ -47,16 +50,24 @@ from missionplanner.motion.state import (
     RADIUS,
     REACHED,
     RISE_JERK,
+    RUN,
+    SEGMENT,
+    SEGMENT_0,
     SLOT,
-    TOUCHDOWN_HEIGHT,
     SPEED,
+    SPLINE,
     STALE,
     STARTING,
+    STEP_S,
     TARGET,
     TARGET_ACCELERATION,
     TARGET_VELOCITY,
     TIME,
     TOP,
+    TOP_END,
+    TOP_START,
+    TOUCHDOWN_HEIGHT,
+    TOUCHDOWN_RATE,
     UX,
     VELOCITY,
     VERTICAL,
@@ -64,14 +75,17 @@ from missionplanner.motion.state import (
     WAYPOINT,
     FloatArray,
     IntArray,
+    T,
     kernel,
 )
 
 _BEFORE, _NOW, _NEXT = np.array([-1, 0, 1])  # roles of the three legs; as in scurve
-_STEP_S = 0.025
+_ROLLING_M_S = 1e-6  # as slow as something can be that has not stopped
+_HERE_M = 0.1
+_SETTLE_S = 1.1  # what a first leg to where it already is takes: to the centimetre, it never is there
 _FAR_S = 1e4  # a leg so long that it reaches any speed
 _STEADY_END = 4  # the segment after the steady acceleration
-_LOOP_S = 0.0025  # the autopilot's main loop, at which it looks whether a corner may begin
+_LOOP_S = 0.0025  # the autopilot's main loop, in which it looks whether a corner may begin
 
 
 @kernel
@@ -79,15 +93,15 @@ def step(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -> None:
     """Advance by ``dt``; a halt brakes by slowing the legs' clock down."""
     if k[PHASE] == STARTING:
         k[PHASE] = FLYING
+        s[RUN] = 0.0
         k[SLOT] = 0
         k[STALE] = -1
         s[PACE] = 1.0
         if s[TARGET_VELOCITY] != 0.0 or s[TARGET_VELOCITY + 1] != 0.0:  # told anew on its way, it stops where it can
             for axis in range(2):
                 s[TARGET + axis], s[TARGET_VELOCITY + axis] = s[POSITION + axis], s[VELOCITY + axis]
-    steps = round(dt / _STEP_S)
-    h = dt / steps
-    for _ in range(steps):
+    h = STEP_S
+    for _ in range(round(dt / h)):
         if k[PHASE] == FLYING and route[k[WAYPOINT], BY_ALTITUDE] > 0.0:
             _go_vertically(s, k, route, h)
             continue
@@ -142,37 +156,93 @@ def _plan_legs(s: FloatArray, k: IntArray, route: FloatArray) -> None:
     if s[NEW_SPEED] > 0.0:
         for role in range(2):
             leg = _leg(s, k, role)
-            if leg[TIME] > 0.0 and leg[LENGTH] > 0.0:
+            if leg[CURVED] > 0.0:
+                curve.limit(leg, s, route[w, SPEED], route[w, VERTICAL])
+            elif leg[TIME] > 0.0 and leg[LENGTH] > 0.0:
                 scurve.change_speed(leg, s, route[w, SPEED], route[w, VERTICAL])
             else:
                 k[STALE] = min(k[STALE], role)
         s[NEW_SPEED] = math.nan
-    for role in range(k[STALE], 2):
+    starting = k[STALE] == -1
+    if starting:
+        _brake(s, k)
+    for role in range(max(k[STALE], 0), 2):
         leg = _leg(s, k, role)
-        if role >= 0 and w + role < k[COUNT] and route[w + role, BY_ALTITUDE] > 0.0:
+        v = w + role
+        if v == k[COUNT] or route[v, BY_ALTITUDE] > 0.0 or (role == 1 and route[w, HOLD] > 0.0):
             scurve.clear(leg)
-            continue
-        speed = route[w, SPEED]
-        vertical = route[w, VERTICAL]
-        if role == -1:
-            speed = math.hypot(s[TARGET_VELOCITY], s[TARGET_VELOCITY + 1])
-            vertical = abs(s[TARGET_VELOCITY + 2])
-        elif role == 1 and (w + 1 == k[COUNT] or route[w, HOLD] > 0.0):
+        elif route[v, SPLINE] > 0.0:
+            _plan_curve(s, k, route, role)
+        else:
             scurve.clear(leg)
-            continue
-        for axis in range(3):
-            if role == -1:
-                leg[UX + axis] = s[TARGET_VELOCITY + axis] * _FAR_S
-            elif role == 0:
-                leg[UX + axis] = route[w, axis] - s[ORIGIN + axis]
-            else:
-                leg[UX + axis] = route[w + 1, axis] - route[w, axis]
-        scurve.plan(leg, s, speed, vertical)
-        if role == -1:
-            way_m = scurve.skip_to_braking(leg)
             for axis in range(3):
-                s[ORIGIN + axis] = s[TARGET + axis] + leg[UX + axis] * way_m
+                leg[UX + axis] = route[v, axis] - (s[ORIGIN + axis] if role == 0 else route[w, axis])
+            scurve.plan(leg, s, route[w, SPEED], route[w, VERTICAL])
+            if role == 0 and s[RUN] > _ROLLING_M_S and leg[LENGTH] > 0.0:
+                scurve.begin_at(leg, s, s[RUN])
+        if starting and role == 0 and route[v, HOLD] == 0.0 and _way_m(s, route, v) < _HERE_M:
+            scurve.clear(leg)
+            leg[SEGMENT_0 + scurve.END * SEGMENT + T] = _SETTLE_S
+        if role == 1:
+            _join(s, _leg(s, k, _NOW), leg)
+        elif s[RUN] > 0.0:
+            scurve.clear(_leg(s, k, _BEFORE))  # a spline is not added to what comes before or after it
+    _plan_corner(s, _leg(s, k, _NOW), _leg(s, k, _NEXT))
     k[STALE] = 2
+
+
+@kernel
+def _way_m(s: FloatArray, route: FloatArray, w: int) -> float:
+    """Return how far it is to a waypoint from where the leg begins."""
+    return math.sqrt(
+        (route[w, 0] - s[ORIGIN]) ** 2 + (route[w, 1] - s[ORIGIN + 1]) ** 2 + (route[w, 2] - s[ORIGIN + 2]) ** 2
+    )
+
+
+@kernel
+def _brake(s: FloatArray, k: IntArray) -> None:
+    """Plan the leg before the first one: it brakes from the target's velocity."""
+    leg = _leg(s, k, _BEFORE)
+    scurve.clear(leg)
+    for axis in range(3):
+        leg[UX + axis] = s[TARGET_VELOCITY + axis] * _FAR_S
+    speed = math.hypot(s[TARGET_VELOCITY], s[TARGET_VELOCITY + 1])
+    scurve.plan(leg, s, speed, abs(s[TARGET_VELOCITY + 2]))
+    way_m = scurve.skip_to_braking(leg)
+    for axis in range(3):
+        s[ORIGIN + axis] = s[TARGET + axis] + leg[UX + axis] * way_m
+
+
+@kernel
+def _plan_curve(s: FloatArray, k: IntArray, route: FloatArray, role: int) -> None:
+    """Plan the present or the next leg as a spline: it departs as the leg before it arrived."""
+    w = k[WAYPOINT] + role
+    leg = _leg(s, k, role)
+    before = _leg(s, k, role - 1)
+    moving = role == 1 or s[RUN] > 0.0
+    turns = w + 1 < k[COUNT] and route[w, HOLD] == 0.0 and route[w + 1, BY_ALTITUDE] == 0.0
+    for axis in range(3):
+        start = s[ORIGIN + axis] if role == 0 else route[w - 1, axis]
+        departure = before[ARRIVAL + axis] if before[CURVED] > 0.0 else before[UX + axis] * before[LENGTH]
+        arrival = 0.0
+        if turns:
+            arrival = route[w + 1, axis] - (start if route[w + 1, SPLINE] > 0.0 else route[w, axis])
+        leg[HERMITE + axis] = route[w, axis] - start
+        leg[HERMITE + 3 + axis] = departure if moving else 0.0
+        leg[ARRIVAL + axis] = arrival
+    curve.plan(leg, s, route[k[WAYPOINT], SPEED], route[k[WAYPOINT], VERTICAL])
+
+
+@kernel
+def _join(s: FloatArray, this: FloatArray, following: FloatArray) -> None:
+    """Where a leg of two is a spline: let the first end, and the second begin, as fast as both can."""
+    if following[CURVED] > 0.0:
+        if this[CURVED] > 0.0:
+            this[TOP_END] = min(this[TOP_END], following[TOP_START])
+        elif this[LENGTH] > 0.0:
+            scurve.end_at(this, s, following[TOP_START])
+    elif this[CURVED] > 0.0 and following[LENGTH] > 0.0:
+        this[TOP_END] = min(this[TOP_END], scurve.begin_at(following, s, this[TOP_END]))
 
 
 @kernel
@@ -201,14 +271,22 @@ def _advance(s: FloatArray, k: IntArray, route: FloatArray, duration_s: float, s
             break
         this = _leg(s, k, _NOW)
         following = _leg(s, k, _NEXT)
+        if this[CURVED] > 0.0:
+            if this[LENGTH] > 0.0:
+                begun_s = left_s
+                s[RUN], left_s = curve.advance(this, s, s[RUN], left_s)
+                before[TIME] += begun_s - left_s
+                s[ELAPSED] += (begun_s - left_s) / share
+                if this[TIME] < 1.0:
+                    return
+            _pass_waypoint(s, k, route, s[RUN])
+            continue
         end_s = scurve.begins(this, scurve.END)
-        turning = following[TIME] > 0.0
+        turning = following[TIME] > 0.0 and following[CURVED] == 0.0
         if turning:  # the waypoint counts as reached half way through the turn
             event_s = 0.5 * (end_s - this[TIME] - following[TIME])
-        elif following[LENGTH] > 0.0:
-            event_s = _corner_after(s, this, following, left_s)
         else:
-            event_s = end_s - this[TIME]
+            event_s = min(this[CORNER], end_s) - this[TIME]
         event_s = max(event_s, 0.0)
         step_s = min(left_s, event_s)
         before[TIME] += step_s
@@ -220,8 +298,8 @@ def _advance(s: FloatArray, k: IntArray, route: FloatArray, duration_s: float, s
         if step_s < event_s:
             return
         if turning or this[TIME] >= end_s - 1e-9:
-            _pass_waypoint(s, k, route)
-        elif following[LENGTH] > 0.0:
+            _pass_waypoint(s, k, route, scurve.along(this, math.inf)[1])
+        else:
             following[TIME] = 1e-12  # it runs from here on
         if left_s <= 0.0:
             return
@@ -230,72 +308,87 @@ def _advance(s: FloatArray, k: IntArray, route: FloatArray, duration_s: float, s
 
 
 @kernel
-def _corner_after(s: FloatArray, this: FloatArray, following: FloatArray, within_s: float) -> float:
-    """Return after how long the next leg begins, or the present one ends; more than ``within_s`` if later than that."""
-    now = this[TIME]
+def _plan_corner(s: FloatArray, this: FloatArray, following: FloatArray) -> None:
+    """Find out how old this leg is when the next one begins; where it does not before, at this one's end.
+
+    The middle of the turn so made must lie inside the radius, be no faster than both legs, and need no more than the
+    acceleration for corners. The later it begins, the nearer and slower that is.
+    """
     end_s = scurve.begins(this, scurve.END)
-    first_s = max(
+    this[CORNER] = end_s
+    if following[LENGTH] == 0.0 or following[TIME] > 0.0 or this[CURVED] > 0.0 or following[CURVED] > 0.0:
+        return
+    early = max(
         scurve.begins(this, scurve.BRAKE) - scurve.begins(following, _STEADY_END),
         end_s - 0.5 * scurve.begins(following, scurve.END),
-        now,
+        this[TIME],
     )
-    last_s = min(now + within_s, end_s)
-    if first_s < last_s and _corner_fits(s, this, following, last_s):
-        low, high = 0, math.ceil((last_s - first_s) / _LOOP_S)
-        while low < high:  # the first of the main loop's turns at which it fits
-            middle = (low + high) // 2
-            if _corner_fits(s, this, following, min(first_s + middle * _LOOP_S, last_s)):
-                high = middle
+    late = end_s
+    if not _near_and_slow(s, this, following, early):
+        while late - early > _LOOP_S:
+            middle = 0.5 * (early + late)
+            if _near_and_slow(s, this, following, middle):
+                late = middle
             else:
-                low = middle + 1
-        return min(first_s + high * _LOOP_S, last_s) - now
-    return end_s - now
+                early = middle
+        early = late
+    while early < end_s and not _turns_gently(s, this, following, early):
+        early += _LOOP_S
+    this[CORNER] = min(early, end_s)
 
 
 @kernel
-def _corner_fits(s: FloatArray, this: FloatArray, following: FloatArray, t: float) -> bool:
-    """Whether starting the next leg when this one is ``t`` old keeps the turn within radius, speed and acceleration.
+def _near_and_slow(s: FloatArray, this: FloatArray, following: FloatArray, t: float) -> bool:
+    """Whether the middle of a turn that begins when this leg is ``t`` old is near enough and slow enough.
 
-    Judged in its middle, and no earlier than half way along the leg.
+    No turn begins before half of the leg.
     """
-    if scurve.along(this, t)[2] < 0.5 * this[LENGTH]:
+    if t < scurve.begins(this, scurve.BRAKE) and scurve.along(this, t)[2] < 0.5 * this[LENGTH]:
         return False
     half_s = 0.5 * (scurve.begins(this, scurve.END) - t)
-    a, v, p = scurve.along(this, t + half_s)
-    next_a, next_v, next_p = scurve.along(following, half_s)
+    _, v, p = scurve.along(this, t + half_s)
+    _, next_v, next_p = scurve.along(following, half_s)
     p -= this[LENGTH]
     miss2 = 0.0
     speed2 = 0.0
-    acceleration2 = 0.0
     for axis in range(3):
         u, w = this[UX + axis], following[UX + axis]
         miss2 += (u * p + w * next_p) ** 2
         if axis < 2:
             speed2 += (u * v + w * next_v) ** 2
-            acceleration2 += (u * a + w * next_a) ** 2
-    return (
-        miss2 < s[RADIUS] ** 2
-        and speed2 < min(this[TOP], following[TOP]) ** 2
-        and acceleration2 < s[CORNER_ACCELERATION] ** 2
-    )
+    return miss2 < s[RADIUS] ** 2 and speed2 < min(this[TOP], following[TOP]) ** 2
 
 
 @kernel
-def _pass_waypoint(s: FloatArray, k: IntArray, route: FloatArray) -> None:
-    """Take note of a reached waypoint and turn to what comes next."""
+def _turns_gently(s: FloatArray, this: FloatArray, following: FloatArray, t: float) -> bool:
+    """Whether the middle of a turn that begins when this leg is ``t`` old needs no more than is allowed for corners."""
+    half_s = 0.5 * (scurve.begins(this, scurve.END) - t)
+    a, next_a = scurve.along(this, t + half_s)[0], scurve.along(following, half_s)[0]
+    east, north = this[UX] * a + following[UX] * next_a, this[UX + 1] * a + following[UX + 1] * next_a
+    return east * east + north * north < s[CORNER_ACCELERATION] ** 2
+
+
+@kernel
+def _pass_waypoint(s: FloatArray, k: IntArray, route: FloatArray, speed_m_s: float) -> None:
+    """Take note of a waypoint that the target has reached with a speed, and turn to what comes next."""
     w = k[WAYPOINT]
     route[w, REACHED] = s[ELAPSED]
     for axis in range(3):
         s[ORIGIN + axis] = route[w, axis]
     k[SLOT] = (k[SLOT] + 1) % 3
     k[STALE] = 1
+    s[RUN] = 0.0
     if route[w, HOLD] > 0.0:
         k[PHASE] = HOLDING
         s[HOLD_LEFT] = route[w, HOLD]
         return
     k[WAYPOINT] = w + 1
+    flown = _leg(s, k, _BEFORE)
     if w + 1 == k[COUNT]:
         k[PHASE] = IDLE
+    elif flown[CURVED] > 0.0 or route[w + 1, SPLINE] > 0.0:
+        k[STALE] = 0  # planned anew from how it moves now
+        s[RUN] = max(speed_m_s, _ROLLING_M_S)
     elif route[w + 1, SPEED] != route[w, SPEED] or route[w + 1, VERTICAL] != route[w, VERTICAL]:
         s[NEW_SPEED] = route[w + 1, SPEED]
 
@@ -342,7 +435,7 @@ def _go_vertically(s: FloatArray, k: IntArray, route: FloatArray, h: float) -> N
         s[VELOCITY + 2] = 0.0
         s[INTEGRAL + 2] = 0.0
     s[PACE] = 1.0
-    _pass_waypoint(s, k, route)
+    _pass_waypoint(s, k, route, 0.0)
     _plan_legs(s, k, route)
     _write_target(s, k, 1.0)
 
@@ -365,6 +458,13 @@ def _write_target(s: FloatArray, k: IntArray, pace: float) -> None:
         s[TARGET_ACCELERATION + axis] = 0.0
     for role in range(-1, 2):
         leg = _leg(s, k, role)
+        if leg[CURVED] > 0.0:
+            if role == 0 and k[PHASE] == FLYING:
+                direction = curve.direction(leg, leg[TIME])
+                for axis in range(3):
+                    s[TARGET + axis] += curve.along(leg, leg[TIME], axis)[0]
+                    s[TARGET_VELOCITY + axis] += direction[axis] * s[RUN] * pace
+            continue
         if leg[LENGTH] == 0.0 or (role >= 0 and (k[PHASE] != FLYING or leg[TIME] == 0.0)):
             continue
         a, v, p = scurve.along(leg, leg[TIME])

@@ -37,6 +37,7 @@ from missionplanner.motion.state import (
     REACHED,
     ROUTE,
     SPEED,
+    SPLINE,
     STARTING,
     VELOCITY,
     VERTICAL,
@@ -108,9 +109,10 @@ class Navigator:
         hold_s: npt.ArrayLike | None = None,
         vertical_m_s: npt.ArrayLike | None = None,
         by_altitude: npt.ArrayLike | None = None,
+        spline: npt.ArrayLike | None = None,
     ) -> None:
         """Fly vehicle ``i`` from where it is through points (W, 3), stopping at the last. See :class:`Route`."""
-        new = Route.through(points_m, speed_m_s, hold_s, vertical_m_s, by_altitude)
+        new = Route.through(points_m, speed_m_s, hold_s, vertical_m_s, by_altitude, spline)
         count = len(new.points_m)
         n, room, _ = self._routes.shape
         if count > room:
@@ -124,6 +126,7 @@ class Navigator:
         rows[:count, HOLD] = new.hold_s
         rows[:count, VERTICAL] = new.vertical_m_s
         rows[:count, BY_ALTITUDE] = new.by_altitude
+        rows[:count, SPLINE] = new.spline
         self._integers[i, COUNT] = count
         self._integers[i, [WAYPOINT, PHASE, HALTED]] = 0, STARTING, 0
         self._floats[i, [ELAPSED, BRAKED, NEW_SPEED]] = 0.0, 0.0, np.nan
@@ -208,13 +211,14 @@ def predict(
     hold_s: npt.ArrayLike | None = None,
     vertical_m_s: npt.ArrayLike | None = None,
     by_altitude: npt.ArrayLike | None = None,
+    spline: npt.ArrayLike | None = None,
 ) -> tuple[Trajectory, FloatArray]:
     """Return the flight from rest at ``start_m`` through points (W, 3), and the times (W,) at which they are reached.
 
     Times count from the start. The motion is bit for bit that of a :class:`Navigator` stepped by :data:`TICK_S`.
     """
     navigator = Navigator([model], np.asarray(start_m, dtype=float).reshape(1, 3))
-    return navigator.fly(Route.through(points_m, speed_m_s, hold_s, vertical_m_s, by_altitude))
+    return navigator.fly(Route.through(points_m, speed_m_s, hold_s, vertical_m_s, by_altitude, spline))
 
 
 def _sources() -> int:

@@ -27,7 +27,7 @@ class Route(NamedTuple):
     ``points_m`` (W, 3), ``speed_m_s`` (W,) horizontal speed of the leg *to* each point, ``hold_s`` (W,) time to stand
     still at each point, ``vertical_m_s`` (W,) upper bound on the climb and descent rate of each leg, ``by_altitude``
     (W,) whether a plane has reached the point once it is as high or low as that, wherever: take-off and landing; or, on
-    its way home (-1), once it circles there.
+    its way home (-1), once it circles there; ``spline`` (W,) whether an ArduCopter flies a spline to the point.
     """
 
     points_m: FloatArray
@@ -35,6 +35,7 @@ class Route(NamedTuple):
     hold_s: FloatArray
     vertical_m_s: FloatArray
     by_altitude: FloatArray
+    spline: FloatArray
 
     @classmethod
     def through(
@@ -44,6 +45,7 @@ class Route(NamedTuple):
         hold_s: npt.ArrayLike | None = None,
         vertical_m_s: npt.ArrayLike | None = None,
         by_altitude: npt.ArrayLike | None = None,
+        spline: npt.ArrayLike | None = None,
     ) -> Route:
         """Return a route through points (W, 3); scalars hold for every leg. No hold, no vertical bound by default."""
         points = np.array(points_m, dtype=float).reshape(-1, 3)
@@ -52,7 +54,12 @@ class Route(NamedTuple):
             return np.array(np.broadcast_to(np.asarray(default if value is None else value, dtype=float), len(points)))
 
         return cls(
-            points, each(speed_m_s, 0.0), each(hold_s, 0.0), each(vertical_m_s, math.inf), each(by_altitude, 0.0)
+            points,
+            each(speed_m_s, 0.0),
+            each(hold_s, 0.0),
+            each(vertical_m_s, math.inf),
+            each(by_altitude, 0.0),
+            each(spline, 0.0),
         )
 
 

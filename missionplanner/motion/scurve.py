@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from missionplanner.motion.curve import projected
 from missionplanner.motion.state import (
     ACC,
     ACCELERATION,
@@ -52,7 +53,7 @@ def begins(leg: FloatArray, k: int) -> float:
 def along(leg: FloatArray, t: float) -> tuple[float, float, float]:
     """Return acceleration, speed and distance along the track ``t`` seconds after the leg began."""
     if t >= begins(leg, END):
-        return 0.0, 0.0, leg[LENGTH]
+        return 0.0, leg[SEGMENT_0 + END * SEGMENT + V], leg[LENGTH]
     k = 0
     if t >= begins(leg, BRAKE):
         k = BRAKE
@@ -86,11 +87,15 @@ def plan(leg: FloatArray, s: FloatArray, speed_m_s: float, vertical_m_s: float) 
     leg[LENGTH] = length
     for axis in range(3):
         leg[UX + axis] /= length
-    leg[TOP] = _projected(leg, speed_m_s, min(s[CLIMB], vertical_m_s), min(s[DESCENT], vertical_m_s))
-    leg[ACC] = _projected(leg, s[ACCELERATION], s[VERTICAL_ACCELERATION], s[VERTICAL_ACCELERATION])
+    leg[TOP] = projected(
+        leg[UX], leg[UX + 1], leg[UX + 2], speed_m_s, min(s[CLIMB], vertical_m_s), min(s[DESCENT], vertical_m_s)
+    )
+    leg[ACC] = projected(
+        leg[UX], leg[UX + 1], leg[UX + 2], s[ACCELERATION], s[VERTICAL_ACCELERATION], s[VERTICAL_ACCELERATION]
+    )
     _put_rise(leg, s, SPEED_UP, 1.0, 0.0, leg[TOP], 0.5 * length)
     _chain(leg)
-    _put_braking(leg, s)
+    _put_braking(leg, s, 0.0)
 
 
 @kernel
@@ -101,19 +106,49 @@ def skip_to_braking(leg: FloatArray) -> float:
 
 
 @kernel
+def begin_at(leg: FloatArray, s: FloatArray, speed_m_s: float) -> float:
+    """Begin a leg at a speed instead of from rest, if it may be as fast; return the speed that it begins at.
+
+    Where speeding up does not fit into its first half, it begins in the middle of that.
+    """
+    o = SEGMENT_0 + CHANGE * SEGMENT
+    speed = min(speed_m_s, leg[o + V])
+    _put_rise(leg, s, SPEED_UP, 1.0, speed, leg[o + V], 0.5 * leg[LENGTH])
+    _clear_segments(leg, CHANGE, CRUISE)
+    leg[SEGMENT_0 + V] = speed
+    _chain(leg)
+    excess_m = leg[o + P] - 0.5 * leg[LENGTH]
+    if excess_m > 0.0:
+        leg[SEGMENT_0 + T] = -excess_m / leg[o + V]
+        leg[SEGMENT_0 + P] = -excess_m
+        _chain(leg)
+    _put_braking(leg, s, 0.0)
+    return speed
+
+
+@kernel
+def end_at(leg: FloatArray, s: FloatArray, speed_m_s: float) -> None:
+    """End a leg at a speed instead of at rest, if it is as fast."""
+    _put_braking(leg, s, min(speed_m_s, leg[SEGMENT_0 + CRUISE * SEGMENT + V]))
+
+
+@kernel
 def change_speed(leg: FloatArray, s: FloatArray, speed_m_s: float, vertical_m_s: float) -> None:
     """Fly the rest of a leg that has begun at another speed, as far as a running S-curve can still be changed.
 
     As the autopilot does: while the leg speeds up, the steady acceleration is cut short; the rest of the change comes
     after that; braking for the leg's end is never touched.
     """
-    top = _projected(leg, speed_m_s, min(s[CLIMB], vertical_m_s), min(s[DESCENT], vertical_m_s))
+    top = projected(
+        leg[UX], leg[UX + 1], leg[UX + 2], speed_m_s, min(s[CLIMB], vertical_m_s), min(s[DESCENT], vertical_m_s)
+    )
     t = leg[TIME]
     if top == leg[TOP]:
         return
     leg[TOP] = top
     if t >= begins(leg, BRAKE):
         return
+    end_m_s = min(top, leg[SEGMENT_0 + END * SEGMENT + V])
     _make_room(leg, t)
     _chain(leg)
     steady = SEGMENT_0 + 3 * SEGMENT
@@ -138,7 +173,7 @@ def change_speed(leg: FloatArray, s: FloatArray, speed_m_s: float, vertical_m_s:
                 return
             _clear_segments(leg, CHANGE, CRUISE)
         _chain(leg)
-        fits = _put_braking(leg, s)
+        fits = _put_braking(leg, s, end_m_s)
 
 
 @kernel
@@ -205,18 +240,21 @@ def _clear_segments(leg: FloatArray, first: int, last: int) -> None:
 
 
 @kernel
-def _put_braking(leg: FloatArray, s: FloatArray) -> bool:
-    """Write the cruise and the braking to a stop at the leg's end; False where the leg is too short for it."""
+def _put_braking(leg: FloatArray, s: FloatArray, end_m_s: float) -> bool:
+    """Write the cruise and the braking to a speed at the leg's end; False where the leg is too short for it."""
     o = SEGMENT_0 + CRUISE * SEGMENT
     speed = leg[o + V]
-    room_m = leg[LENGTH] - leg[o + P] - _put_rise(leg, s, BRAKE, -1.0, 0.0, speed, math.inf)
+    end = min(end_m_s, speed)
+    room_m = leg[LENGTH] - leg[o + P]
+    room_m -= _put_rise(leg, s, BRAKE, -1.0, end, speed, math.inf if end == 0.0 else max(room_m, 0.0))
     leg[o + DURATION] = max(room_m, 0.0) / speed if speed > 0.0 else 0.0
     leg[o + H] = 0.0
     leg[o + S] = 0.0
     _chain(leg)
-    end = SEGMENT_0 + SEGMENTS * SEGMENT
-    leg[end + V] = 0.0
-    leg[end + P] = leg[LENGTH]
+    o = SEGMENT_0 + END * SEGMENT
+    if end == 0.0:
+        leg[o + V] = 0.0
+    leg[o + P] = leg[LENGTH]
     return room_m >= -1e-6
 
 
@@ -251,6 +289,8 @@ def _put_rise(
             leg[o + DURATION], leg[o + H], leg[o + S] = jerk_s, h, 0.0
         else:
             leg[o + DURATION], leg[o + H], leg[o + S] = ramp_s, 0.5 * h, (1.0 if k in (0, 4) else -1.0)
+    if sign < 0.0 and rise < wanted:
+        used_m += (4.0 * ramp_s + 2.0 * jerk_s + steady_s) * (wanted - rise)
     return used_m
 
 
@@ -259,6 +299,8 @@ def _rise_times(
     rise: float, slow: float, acceleration: float, jerk: float, snap: float
 ) -> tuple[float, float, float, float]:
     """Return (peak jerk, its ramp time, time at peak jerk, time at peak acceleration) of the fastest rise of speed."""
+    if rise <= 0.0:
+        return 0.0, 0.0, 0.0, 0.0
     ramp_s = min(jerk * math.pi / (2.0 * snap), math.sqrt(acceleration * math.pi / (2.0 * snap)))
     peak = 2.0 * snap * ramp_s / math.pi
     if rise <= 2.0 * peak * ramp_s * ramp_s:
@@ -276,10 +318,4 @@ def _rise_times(
 @kernel
 def _projected(leg: FloatArray, horizontal: float, up: float, down: float) -> float:
     """Return the greatest speed (or acceleration) along a leg that keeps horizontal and vertical limits."""
-    level = math.hypot(leg[UX], leg[UX + 1])
-    limit = math.inf
-    if level > 1e-9:
-        limit = horizontal / level
-    if abs(leg[UX + 2]) > 1e-9:
-        limit = min(limit, (up if leg[UX + 2] > 0.0 else down) / abs(leg[UX + 2]))
-    return limit
+    return projected(leg[UX], leg[UX + 1], leg[UX + 2], horizontal, up, down)

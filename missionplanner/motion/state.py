@@ -32,13 +32,16 @@ def kernel(function: _Function) -> _Function:
     return compiled
 
 
+STEP_S = 0.025
+"""The step of ArduCopters."""
+
 # Integer columns.
 NAVIGATOR, PHASE, WAYPOINT, COUNT, HALTED, SLOT, STALE, TRACK, INTEGERS = range(9)
 ARDUCOPTER, PX4, PLANE = range(3)  # navigators
 IDLE, STARTING, FLYING, HOLDING = range(4)  # phases
 
 # Columns of a route: the point, the leg to it, the hold there, how a plane reaches it, and when it was reached.
-SPEED, HOLD, VERTICAL, BY_ALTITUDE, REACHED, ROUTE = 3, 4, 5, 6, 7, 8
+SPEED, HOLD, VERTICAL, BY_ALTITUDE, REACHED, SPLINE, ROUTE = 3, 4, 5, 6, 7, 8, 9
 AT_ONCE = -1.0  # of BY_ALTITUDE: a plane turns and climbs to it at once, and has reached it once it circles there
 
 # Float columns. First what the vehicle does ...
@@ -53,15 +56,19 @@ NEW_SPEED = 44  # told by set_speed and not yet taken up; else NaN
 WIND = 45  # two: velocity of the air, east and north
 # ... then what a copter's controllers remember (two each, east and north) and their gains and lags (see airframe) ...
 ERROR, DAMPING, LEAN_TARGET = 47, 49, 51
-DAMPING_GAIN, ERROR_TIME, LEAN_TIME, RATE_TIME = range(53, 57)
+DAMPING_GAIN, ERROR_SHARE, LEAN_SHARE, RATE_SHARE = range(53, 57)  # shares: of its way that a lag goes in a step
 ALTITUDE_GAIN, RISE_GAIN, LIFT_GAIN, LIFT_INTEGRAL_GAIN, DRAG_VERTICAL = range(57, 62)
 RISE_JERK, TOUCHDOWN_RATE, TOUCHDOWN_HEIGHT = range(62, 65)  # how ArduCopter takes off and lands
 CORNER_ACCELERATION, RUN = 65, 66  # of ArduCopter; its target's speed along a spline
 # ... then ArduCopter's three legs (flown before, now, next; S-curves or splines), LEG columns each.
 LEGS = 67
 
-# Columns of a leg: unit vector, length, time flown, greatest speed and acceleration along it; then its segments.
-UX, LENGTH, TIME, TOP, ACC, SEGMENT_0 = 0, 3, 4, 5, 6, 7
+# Columns of a leg: unit vector, length, time flown, greatest speed and acceleration along it, whether it is a spline,
+# how old it is when the next one begins; then its segments.
+UX, LENGTH, TIME, TOP, ACC, CURVED, CORNER, SEGMENT_0 = 0, 3, 4, 5, 6, 7, 8, 9
+# ... or, of a spline leg (CURVED), where segments would be: the polynomial's coefficients of t, t^2, t^3 and the
+# derivative it was to arrive with (three each), its greatest speeds upwards, downwards, at its start and its end.
+HERMITE, ARRIVAL, TOP_UP, TOP_DOWN, TOP_START, TOP_END = 9, 18, 21, 22, 23, 24
 # Columns of a segment: jerk is H (1 - S cos(pi t / DURATION)); T, A, V, P hold at its start
 DURATION, H, S, T, A, V, P, SEGMENT = range(8)
 SEGMENTS = 22
@@ -132,6 +139,11 @@ def initial(model: MotionModel, position_m: npt.ArrayLike) -> tuple[FloatArray, 
     return row, number
 
 
+def _share(time_s: float) -> float:
+    """Return how much of its way a first-order lag goes in a step of ArduCopter's."""
+    return STEP_S / (STEP_S + time_s)
+
+
 def _tune_arducopter(row: FloatArray, tuning: ArducopterTuning) -> None:
     """Write an ArduCopter's parameters."""
     row[VERTICAL_ACCELERATION] = tuning.vertical_acceleration_m_s2
@@ -139,9 +151,10 @@ def _tune_arducopter(row: FloatArray, tuning: ArducopterTuning) -> None:
     row[SNAP] = 0.25 * math.pi * row[JERK] / max(tuning.input_time_s, 0.1)  # half of what the attitude allows
     row[POSITION_GAIN] = tuning.position_gain
     row[VELOCITY_GAIN], row[INTEGRAL_GAIN], row[DAMPING_GAIN] = tuning.velocity_gains
-    row[ERROR_TIME] = 1.0 / (2.0 * math.pi * 5.0)  # PSC_VELXY_FLTE, _FLTD
+    row[ERROR_SHARE] = _share(1.0 / (2.0 * math.pi * 5.0))  # PSC_VELXY_FLTE, _FLTD
     row[LEAN] = _GRAVITY_M_S2 * math.tan(math.radians(tuning.lean_deg))
-    row[LEAN_TIME], row[RATE_TIME] = tuning.input_time_s, 0.08  # what the rate controller and the rotors add
+    row[LEAN_SHARE] = _share(tuning.input_time_s)
+    row[RATE_SHARE] = _share(0.08)  # the rate controller and the rotors
     row[DRAG], row[DRAG_SQUARED] = 0.41, 0.0132  # 10.35 m/s at 30 deg (measured)
     row[ALTITUDE_GAIN], row[RISE_GAIN] = 1.0, 5.0  # PSC_POSZ_P, PSC_VELZ_P
     throttle = _GRAVITY_M_S2 / 0.39  # acceleration per throttle: MOT_THST_HOVER

@@ -16,7 +16,7 @@ import numpy as np
 
 FOLDER = Path(__file__).parents[3] / "shared" / "data" / "flights"
 _METRES_PER_DEG = 111318.84502
-_TAKEOFF, _WAYPOINT, _SPLINE, _SPEED = 22, 16, 82, 178
+_TAKEOFF, _WAYPOINT, _SPLINE, _SPEED, _LAND = 22, 16, 82, 178, 21
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,10 +26,14 @@ class Recording:
     name: str
     kind: str  # "ardupilot", "px4", "plane"
     splines: bool
+    lands: bool  # after its last waypoint; else it returns
+    home_m: np.ndarray  # (3,)
     top_m: np.ndarray  # (3,) end of the take-off
     waypoints_m: np.ndarray  # (W, 3)
     speed_m_s: np.ndarray  # (W,)
     hold_s: np.ndarray  # (W,)
+    vertical_m_s: np.ndarray  # (W,) bound set by the mission; infinite where it sets none
+    spline: np.ndarray  # (W,) whether flown to along a spline
     begin_s: float
     reached_s: np.ndarray  # (W,) NaN where the recording lost it
     t_s: np.ndarray  # (S,)
@@ -51,15 +55,24 @@ def read(name: str) -> Recording:
     log = {item["seq"] + shift: item["t_reached"] for item in json.loads((FOLDER / f"{name}.json").read_text())["wp"]}
     speed = {"px4": 5.0, "plane": 22.0, "ardupilot": 10.0}[kind]
     takeoff = next(row for row in rows if int(row[3]) == _TAKEOFF)
-    points, speeds, holds, reached = [], [], [], []
+    points, speeds, holds, verticals, splines, reached = [], [], [], [], [], []
+    climb = descent = math.inf
+    alt = float(takeoff[10])
     for row in rows[1:]:
         seq, command = int(row[0]), int(row[3])
         if command == _SPEED and 0.2 <= float(row[5]) <= 30.0 and float(row[4]) < 2.0:  # others are ignored
             speed = float(row[5])
+        if command == _SPEED and kind == "ardupilot" and float(row[4]) == 2.0:
+            climb = float(row[5])
+        if command == _SPEED and kind == "ardupilot" and float(row[4]) == 3.0:
+            descent = float(row[5])
         if command in (_WAYPOINT, _SPLINE):
             east = (float(row[9]) - lon) * _METRES_PER_DEG * math.cos(math.radians(lat))
             points.append([east, (float(row[8]) - lat) * _METRES_PER_DEG, base + float(row[10])])
             speeds.append(speed)
+            verticals.append(climb if float(row[10]) > alt else descent)
+            splines.append(command == _SPLINE)
+            alt = float(row[10])
             holds.append(float(int(float(row[4]))))
             reached.append(math.nan if log[seq] is None else log[seq])
     with gzip.open(FOLDER / f"{name}.csv.gz", "rt") as file:
@@ -77,11 +90,15 @@ def read(name: str) -> Recording:
     return Recording(
         name=name,
         kind=kind,
-        splines=any(int(row[3]) == _SPLINE for row in rows),
+        splines=any(splines),
+        lands=int(rows[-1][3]) == _LAND,
+        home_m=np.array([0.0, 0.0, base]),
         top_m=top,
         waypoints_m=np.array(points),
         speed_m_s=np.array(speeds),
         hold_s=np.array(holds),
+        vertical_m_s=np.array(verticals),
+        spline=np.array(splines),
         begin_s=begin_s,
         reached_s=np.array(reached, dtype=float),
         t_s=t_s,

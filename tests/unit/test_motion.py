@@ -90,7 +90,7 @@ def test_takeoff_takes_as_long_as_measured(model: MotionModel, height_m: float) 
     assert np.ptp(flight.position_m[:, :2]) == 0.0
 
 
-@pytest.mark.parametrize(("model", "measured_s"), [(COPTER, 31.0), (PX4, 23.0)])
+@pytest.mark.parametrize(("model", "measured_s"), [(COPTER, 31.0), (PX4, 26.2)])
 def test_landing_takes_as_long_as_measured(model: MotionModel, measured_s: float) -> None:
     flight, _ = predict(model, [5, 5, 120], *landing_points(model, [5, 5, 120], 100.0))
     assert flight.t_s[-1] == pytest.approx(measured_s, abs=1.5)
@@ -270,9 +270,9 @@ def test_set_speed_in_flight(model: MotionModel) -> None:
     assert np.hypot(*navigator.velocity_m_s[0, :2]) == pytest.approx(speed_of(model), abs=0.6)
 
 
-def test_a_zero_length_leg_is_reached_at_once() -> None:
+def test_a_zero_length_leg_is_reached_at_once_on_the_way_and_takes_a_second_at_the_start() -> None:
     _, reached_s = predict(COPTER, [0, 0, 20], [[0, 0, 20], [50, 0, 20], [50, 0, 20]], 5.0)
-    assert reached_s[0] == 0.0
+    assert 1.0 <= reached_s[0] <= 1.8  # recorded: 1.1 to 1.7 s
     assert reached_s[2] == reached_s[1]
 
 

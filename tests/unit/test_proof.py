@@ -577,20 +577,29 @@ def test_a_spline_leg_keeps_its_tube_around_the_curve(hold_s: float) -> None:
     assert off_m - 5.0 - 0.11 <= verdict.obstacle_m <= off_m - 5.0
     if hold_s == 0.0:  # it swings out, away from the leg after it, where a straight leg would have stayed 37 m off
         assert off_m < 36.0
-    # its path is known, but not when it is where
+    # and when it is where
     told = problems(certificate)
     assert told == []  # one vehicle, its return waived
     pair = scene(ALPHA, beside(60))
     other = replace(proof.planned_sortie(pair, by_hand(pair, STRAIGHT, shifted(60)).vehicles[1]))
-    together = found(proof.prove(pair, [curved, other]), "separation", "")
-    assert not together.proven
-    assert together.detail == "the times of alpha are not known"
+    apart = [f for f in proof.prove(pair, [curved, other]).findings if f.check == "separation"]
+    assert len(apart) == 1
+    assert apart[0].value is not None
     asked = scene(fleet={"direct_return": "required"})
-    returning = found(proof.prove(asked, [curved]), "return")
-    assert not returning.holds
-    assert "its way home is not known" in returning.detail
+    assert all("not known" not in f.detail for f in proof.prove(asked, [curved]).findings if f.check == "return")
     limited = scene({**ALPHA, "endurance_s": 3600})
-    assert "energy" in [p.check for p in proof.prove(limited, [curved]).problems]
+    assert "energy" not in [p.check for p in proof.prove(limited, [curved]).problems]
+
+
+def test_a_spline_that_turns_back_faster_than_the_vehicle_can_is_told() -> None:
+    there = scene()
+    for speed_m_s, near in ((10.0, False), (2.5, True)):
+        hairpin = [leg(300, 0, seq=3), leg(260, 10, kind="spline", seq=4), leg(100, 60, seq=5)]
+        slow = [replace(part, speed_m_s=speed_m_s) for part in hairpin]
+        certificate = proof.prove(there, [sortie(there, *slow, ending_seq=6)])
+        (finding,) = [f for f in certificate.findings if "off its legs" in f.detail]
+        assert finding.proven == near
+        assert near or "fly slower" in str(finding)
 
 
 def test_a_spline_too_steep_is_told() -> None:
