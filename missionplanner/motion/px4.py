@@ -72,7 +72,8 @@ from missionplanner.motion.state import (
     kernel,
 )
 
-_STEP_S = 0.025
+_STEP_S = 0.025  # of the trajectory; the autopilot's is 20 ms
+_CONTROLS = 2  # steps of the controllers per step of the trajectory, as the autopilot's
 _CRAWL_M_S = 0.5
 _LOOK_AHEAD_M = 5.0
 _GRAVITY_M_S2 = 9.80665
@@ -82,7 +83,7 @@ _UNKNOWN, _ON_TRACK, _TARGET_BEHIND, _BEGINNING_AHEAD, _OFF_TRACK = range(5)
 
 @kernel
 def step(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -> None:
-    """Advance by ``dt``: the navigator looks at the vehicle once, the controllers run in finer steps."""
+    """Advance by ``dt``: the navigator looks at the vehicle once, trajectory and controllers run finer."""
     if k[PHASE] == STARTING:
         k[PHASE] = FLYING
         s[TURN_SPEED] = math.inf
@@ -94,7 +95,8 @@ def step(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -> None:
     h = dt / steps
     for _ in range(steps):
         _move_target(s, h * _share(s))
-        follow_target(s, h, _rise_max(s, h))
+        for _ in range(_CONTROLS):
+            follow_target(s, h / _CONTROLS, _rise_max(s, h / _CONTROLS))
         _want_velocity(s, k, route)
     s[ELAPSED] += dt
     if k[PHASE] != IDLE and k[HALTED] == 0:

@@ -44,7 +44,7 @@ _LEAN_TIME_S = 0.17  # 1 / MC_ROLL_P and the rate loop behind it
 _MOTOR_TIME_S = 0.05  # SIH_T_TAU
 _HOVER_NOISE_1_S = 0.072  # HTE_HT_NOISE * g / MPC_THR_HOVER per 1 m/s^2, the least noise that is assumed
 _HOVER_RATE_M_S = 2.0  # HTE_VZ_THR
-_NOISE = 0.03  # of the thrust that is asked for, as a share of the weight: what is cut off of it unwinds too
+_NOISE = 0.02  # of the thrust that is asked for, as a share of the weight: what is cut off of it unwinds too
 _DESCENT_STRETCH = 1.2  # what FlightTaskAuto leaves the controller to correct the height with
 
 
