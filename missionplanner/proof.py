@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from missionplanner import __version__, energy, returns, timing, wind
+from missionplanner.autopilot_parameters import usual
 from missionplanner.certificate import Certificate, Check, Finding, LegVerdict, Position
 from missionplanner.clearance import TubeClearances, distance_to_legs_m, polyline_legs, tube_clearances
 from missionplanner.errors import InfeasibleError, MissionError
@@ -685,6 +686,9 @@ def _in_wind(scene: Scene, flight: Flight, tubes: Sequence[_Tube]) -> list[Findi
     if wind.calm(motion):
         if flight.timed and any(leg.kind == "spline" for leg in sortie.legs):
             findings.append(_near(flight, tubes, "", "fly slower: it does not slow down ahead of a spline's bend"))
+        elif flight.timed and motion.vehicle_class == "copter" and not usual((motion.autopilot, "copter"), motion):
+            remedy = "fly slower, or with parameters nearer to the defaults, with which autopilots keep to their legs"
+            findings.append(_near(flight, tubes, " with its parameters", remedy))
         return findings
     if motion.vehicle_class == "copter":
         findings += _held(flight, tubes)

@@ -15,14 +15,16 @@ import pytest
 from pymavlink import mavparm, mavutil
 
 from missionplanner.autopilot_parameters import held, with_values
+from missionplanner.errors import InfeasibleError
 from missionplanner.parameter_files import read_parameters
 from missionplanner.plan import FleetPlan
 from missionplanner.plan_folder import PLAN_NAME, load_plan
+from missionplanner.planner import plan_fleet
 from missionplanner.vehicle import Autopilot
 from sim.fleet import SimFleet, connect_fleet, planned_vehicles, serve, sim_vehicles
 from tests.command_line import Cli, expect_line, expect_refusal
 from tests.main_job import plan_into
-from tests.scenes import copter, question, scene_of
+from tests.scenes import at, copter, question, scene_of
 from tests.simulated import HOME
 
 SPEEDUP = 10.0
@@ -192,6 +194,23 @@ def test_a_ground_stations_own_library_reads_and_sets_them(
         assert fleet.links[0].autopilot.default_speed_m_s == 7.0
     finally:
         master.close()
+
+
+def test_a_vehicle_tuned_to_leave_its_legs_is_not_proven() -> None:
+    """How far a copter strays is known of the defaults; with others, its predicted flight must stay within that."""
+    stops = [at(100, 60, agl=40), at(200, -60, agl=40)]
+
+    def planned_with(**parameters: float) -> list[str]:
+        plan = plan_fleet(scene_of(question(copter("alpha", (0, 0), (300, 0), stops=stops, parameters=parameters))))
+        assert plan.certificate is not None
+        assert plan.certificate.proven
+        return [f.detail for f in plan.certificate.findings if "with its parameters" in f.detail]
+
+    assert planned_with() == []
+    [told] = planned_with(WPNAV_ACCEL=150.0)
+    assert told.startswith("is predicted at most 0.")
+    with pytest.raises(InfeasibleError, match=r"m off its legs with its parameters, allowed 2 m: fly slower, or with"):
+        planned_with(PSC_POSXY_P=0.5, PSC_VELXY_P=0.5)
 
 
 def test_what_vehicles_hold_is_not_proven_where_they_move_otherwise(

@@ -27,6 +27,8 @@ _OTHERS = {
     "arducopter.corner_acceleration_m_s2": 1.5,
     "arducopter.land_high_speed_m_s": 1.0,
     "arducopter.lean_auto_max_deg": 20.0,
+    "plane.pitch_min_deg": -5.0,
+    "plane.pitch_limits_deg.1": 10.0,
     "px4.return_wait_s": 3.0,
     "px4.takeoff_least_m": 25.0,
     "px4.speed_max_m_s": 3.0,
