@@ -10,6 +10,7 @@ from rich.table import Table
 
 from missionplanner.certificate import Certificate, Finding
 from missionplanner.flight_check import FlightCheck
+from missionplanner.mission import Wind
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownVehicle
 from missionplanner.summary import certificate_table, fleet_lines, moves_table, summarise, vehicle_table
 from tests.plans import fleet_plan, small_fleet
@@ -64,7 +65,7 @@ def test_a_plan_in_figures() -> None:
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
     assert (summary["mission"], summary["seed"]) == ("by-hand", 1)
     row = summary["vehicles"][0]
-    assert (row["name"], row["sysid"], row["waypoints"], row["speed_m_s"]) == ("uav1", 1, 3, 8.0)
+    assert (row["name"], row["sysid"], row["waypoints"], row["speeds_m_s"]) == ("uav1", 1, 3, [8.0])
     assert row["clearances"][0] == {"to": "terrain", "distance_m": 31.42, "required_m": 22.0, "ok": True, "t_s": None}
     assert summary["fleet"]["clear"] is True
     assert summary["fleet"]["separation"]["distance_m"] == 40.04
@@ -116,11 +117,21 @@ def test_the_table_names_what_is_nearest() -> None:
         assert part in text
 
 
+def test_the_wind_that_is_planned_with_is_told() -> None:
+    fleet = plan()
+    windy = fleet.mission.model_copy(update={"wind": Wind(speed_m_s=5.0, from_deg=270.0)})
+    summary = summarise(replace(fleet, mission=windy))
+    assert summary["fleet"]["wind"] == {"speed_m_s": 5.0, "from_deg": 270.0}
+    assert "predicted in a steady wind of 5 m/s from 270 degrees" in fleet_lines(summary)
+    assert summarise(fleet)["fleet"]["wind"] is None
+    assert not any("wind" in line for line in fleet_lines(summarise(fleet)))
+
+
 def test_a_single_vehicle_without_obstacles() -> None:
     fleet = fleet_plan()
     alone = replace(fleet, vehicles=(replace(fleet.vehicles[0], clearances=(TERRAIN,)),))
     summary = summarise(alone)
-    assert summary["fleet"] == {"arrival_s": None, "separation": None, "clear": True}
+    assert {name: value for name, value in summary["fleet"].items() if value} == {"clear": True}
     assert fleet_lines(summary)[0].startswith("proven: NO")  # nobody has proven it
     assert "-" in printed(summary)
 
