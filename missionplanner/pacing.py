@@ -22,7 +22,7 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.plan import FleetPlan, Trajectory
 from missionplanner.scene import Scene
 from missionplanner.vehicle import Ending, MotionModel, true_airspeed
-from missionplanner.wind import airspeed_limit_m_s
+from missionplanner.wind import airspeed_limit_m_s, off_legs_m
 
 SPEED_STEP_M_S = 1e-3
 """Commanded speeds are whole multiples of this."""
@@ -74,6 +74,7 @@ class Course:
     arrival_s: float  # planned
     speed_min_m_s: float
     speed_max_m_s: float
+    deviation_m: float = math.inf  # how far its autopilot may leave the legs (planes: the planned flight)
     spare_s: FloatArray | None = None  # (S,) longer than planned its battery surely lasts, from each planned sample on
 
     def speeds(self, factor: float) -> FloatArray:
@@ -98,6 +99,7 @@ class Course:
 def course(scene: Scene, plan: FleetPlan, index: int) -> Course:
     """Return what a plan's vehicle is to fly, and how slowly and how long its speed range and its battery allow."""
     vehicle, limits = plan.vehicles[index], scene.tasks[index].limits
+    due_after_s = scene.mission.fleet.arrives_after_s(vehicle.name)
     return Course(
         name=vehicle.name,
         model=vehicle.motion,
@@ -108,9 +110,10 @@ def course(scene: Scene, plan: FleetPlan, index: int) -> Course:
         end=vehicle.end,
         planned=vehicle.trajectory,
         reached_s=vehicle.reached_s,
-        arrival_s=vehicle.arrival_s,
+        arrival_s=vehicle.arrival_s if plan.arrival_s is None else plan.arrival_s + due_after_s,
         speed_min_m_s=limits.speed_min_m_s,
         speed_max_m_s=limits.speed_max_m_s,
+        deviation_m=limits.deviation_m,
         spare_s=_spare_s(scene, plan, index),
     )
 
@@ -198,8 +201,10 @@ def times_at(course: Course, flight: Trajectory, reached_s: FloatArray, place: P
     begin_s = float(flight.t_s[0]) if place.leg == 0 else float(reached_s[place.leg - 1])
     end_s = float(reached_s[place.leg])
     first, last = np.searchsorted(flight.t_s, [begin_s, end_s])
+    ends_m = flight.at(np.array([begin_s, end_s]))
     t_s = np.concatenate([[begin_s], flight.t_s[first:last], [end_s]])
-    shares = np.maximum.accumulate(_shares(course, place.leg, flight.at(t_s)))
+    position_m = np.concatenate([ends_m[:1], flight.position_m[first:last], ends_m[1:]])
+    shares = np.maximum.accumulate(_shares(course, place.leg, position_m))
     if shares[-1] <= place.share:
         return end_s, end_s
     at = int(np.searchsorted(shares, place.share))
@@ -390,6 +395,10 @@ _STEADY_M_S = 0.4
 _HELD_UP_M_S = 0.4
 _GUST_EVERY_S = 5.0
 _FROM_CORNERS_M = 25.0
+_SPARSE = 10  # samples: half a second
+_COPTER_STRAYS, _PLANE_STRAYS = 0.95, 0.2
+"""Shares of what may be strayed; a plane's is its navigator's, of which a correction may take only little."""
+_LOOKS = 4  # in so many thoughts, all flights are held against each other once
 _ROOM_S = 0.5  # how early or late any one may be before it is told that vehicles come too close
 _TOLD_S = 5.0  # who is earlier than that is told
 _AFTER_A_STOP = 1.1  # times the least speed
@@ -429,6 +438,8 @@ class Pacer:
         self._tracked = [_Tracked(course) for course in courses]
         self._lateness_s = lateness_s
         self._slack_s: float | None = None
+        self._thoughts = 0
+        self._conflict = ""
         self._wind_m_s = courses[0].model.wind_m_s
 
     @property
@@ -503,9 +514,11 @@ class Pacer:
             remarks.append(problem)
             if not trims:
                 trims = yield from self._stops(paces, delays)
-        if not trims:
-            tight = self._too_close({}, _ROOM_S)
-            remarks.append("" if tight is None else f"as they fly now, {tight} of each other")
+        if trims or self._thoughts % _LOOKS == 0:
+            tight = self._too_close({trim.vehicle: trim.factor for trim in trims if trim.to_m_s > 0.0}, _ROOM_S)
+            self._conflict = "" if tight is None else f"as they fly now, {tight} of each other"
+        self._thoughts += 1
+        remarks.append(self._conflict)
         delay_s = None if delays is None or not self._together else delays[0]
         if delay_s is not None and self.correct:
             remarks += [_too_early(pace, delay_s) for pace in paces]
@@ -737,16 +750,20 @@ class Pacer:
         if not wanting:
             return (), ""
         needed_s = self._needed_slack_s()
-        problem = ""
+        problem = astray = ""
         for shift_s in (0.0, *_ELSEWHERE_S):
             factors: dict[int, float] = {}
             for k in wanting if shift_s == 0.0 else ready:
-                factors[k] = self._factor_for(self._tracked[k], _target_s(paces[k], delays[k] + shift_s))
+                factor = self._factor_for(self._tracked[k], _target_s(paces[k], delays[k] + shift_s))
+                if self._keeps_to_its_way(self._tracked[k], factor):
+                    factors[k] = factor
+                else:
+                    astray = f"{paces[k].name} would leave its proven way at the speed that brings it in time"
                 yield
             tight = self._too_close(factors, needed_s)
             if tight is None:
                 trims = [self._trim(k, factors[k], paces[k], delays[k] + shift_s) for k in factors]
-                return tuple(trim for trim in trims if trim is not None), problem
+                return tuple(trim for trim in trims if trim is not None), problem or astray
             if not problem:
                 problem = f"arriving {delays[wanting[0]]:+.0f} s from the plan would bring {tight}"
         return (), f"{problem}, and so would what was tried instead: speeds are left as they are"
@@ -809,6 +826,28 @@ class Pacer:
         """Return which of the speeds a vehicle flies at."""
         assert tracked.place is not None
         return tracked.place.leg - 1
+
+    def _keeps_to_its_way(self, tracked: _Tracked, factor: float) -> bool:
+        """Whether the rest of a flight at scaled speeds, in the air as it is known, stays where it was proven.
+
+        A copter that leans as far as it may has nothing left against a wind from the side; a plane's turns are wider
+        the faster it flies, and it was proven around its planned flight.
+        """
+        course = tracked.course
+        plane = course.model.vehicle_class == "plane"
+        if math.isinf(course.deviation_m) or (not plane and factor <= tracked.factor):
+            return True
+        line = course.planned.position_m[::_SPARSE] if plane else course.waypoints_m
+        legs = np.stack([line[:-1], line[1:]], axis=1)
+
+        def off_m(scale: float) -> float:
+            ahead = self._ahead(tracked, scale)
+            until = max(int(np.searchsorted(ahead.t_s, self._arrival_s(tracked, scale))), 1)
+            return off_legs_m(Trajectory(ahead.t_s[:until:_SPARSE], ahead.position_m[:until:_SPARSE]), legs)
+
+        allowed_m = (_PLANE_STRAYS if plane else _COPTER_STRAYS) * course.deviation_m
+        found_m = off_m(factor)
+        return found_m <= allowed_m or (not plane and found_m <= off_m(tracked.factor))
 
     def _may_trim(self, k: int, pace: Pace) -> bool:
         tracked = self._tracked[k]

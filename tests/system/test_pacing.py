@@ -86,12 +86,12 @@ def test_a_pause_in_mid_mission_does_not_part_the_fleet(planned: tuple[Scene, Fl
 def test_the_command_line_keeps_a_fleet_together(cli: Cli, tmp_path: Path) -> None:
     folder = tmp_path / "plan"
     assert cli("plan", mission_path("quickstart"), "--output", folder).code == 0
-    disturbed = ("--sim-late", "uav1=6", "--sim-wind", "2,270", "--json")
+    disturbed = ("--sim-late", "alpha=6", "--sim-wind", "2,270", "--json")
     alone = json.loads(cli("fly", folder, *disturbed, "--no-correct").out)
     assert alone["fleet"]["flown_arrival_spread_s"] > 4.0
     ended = cli("fly", folder, *disturbed, "--correct")
     assert json.loads(ended.out)["fleet"]["flown_arrival_spread_s"] <= SPREAD_MAX_S
-    assert "uav1: " in ended.err
+    assert "alpha: " in ended.err
     assert "would arrive" in ended.err
     flight = json.loads((folder / "flight.json").read_text())
     assert flight["corrections"]
