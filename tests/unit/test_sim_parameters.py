@@ -28,6 +28,7 @@ _OTHERS = {
     "arducopter.land_high_speed_m_s": 1.0,
     "arducopter.lean_auto_max_deg": 20.0,
     "plane.pitch_min_deg": -5.0,
+    "plane.slope_min_m": 500.0,
     "plane.pitch_limits_deg.1": 10.0,
     "px4.return_wait_s": 3.0,
     "px4.takeoff_least_m": 25.0,
@@ -48,14 +49,14 @@ def other_value(parameter: Parameter) -> float:
 def returning(kind: Kind) -> list[MissionItem]:
     """Return a mission without a speed of its own: up, level corners, up and down, home."""
     amsl, relative = mavlink.MAV_FRAME_GLOBAL, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT
-    far, top_m = (20, 950.0) if kind[1] == "plane" else (1, 629.0)
+    far, top_m, rise_m = (20, 950.0, 80.0) if kind[1] == "plane" else (1, 629.0, 20.0)
     home = [MissionItem(0, 0, mavlink.MAV_CMD_NAV_WAYPOINT, x=LAT, y=LON, z=584.0)] if kind[0] == "ardupilot" else []
     north, east = 5_400 * far, 6_500 * far
     ends = [(north, 0, 604.0), (north, east, 604.0), (0, east, 604.0), (-north, east, top_m), (-north, 0, 604.0)]
     return renumbered(
         [
             *home,
-            MissionItem(0, relative, mavlink.MAV_CMD_NAV_TAKEOFF, x=LAT + 4_000, y=LON, z=20.0),
+            MissionItem(0, relative, mavlink.MAV_CMD_NAV_TAKEOFF, x=LAT + 4_000, y=LON, z=rise_m),
             *(MissionItem(0, amsl, mavlink.MAV_CMD_NAV_WAYPOINT, x=LAT + x, y=LON + y, z=z) for x, y, z in ends),
             MissionItem(0, mavlink.MAV_FRAME_MISSION, mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH),
         ]
