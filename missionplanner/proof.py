@@ -42,6 +42,7 @@ _CHORD_TICKS = 2  # planes pull 3 g, and 5 as they lift off
 CHORD_ERROR_M = 0.04
 """Chords of 0.2 s of a predicted flight are at most so far off it at 4 m/s^2."""
 _ANGLE_SLACK_RAD = 1e-5
+_RECORDED_M_S = 10.0 + 1e-6
 _SPEED_SLACK_M_S = 1e-3  # single precision on the wire
 _LEVEL_M = 0.01
 _MEETING_M = 0.1  # a waypoint is at a place of the route as far as its wire format tells
@@ -686,15 +687,22 @@ def _in_wind(scene: Scene, flight: Flight, tubes: Sequence[_Tube]) -> list[Findi
     if wind.calm(motion):
         if flight.timed and any(leg.kind == "spline" for leg in sortie.legs):
             findings.append(_near(flight, tubes, "", "fly slower: it does not slow down ahead of a spline's bend"))
-        elif flight.timed and motion.vehicle_class == "copter" and not usual((motion.autopilot, "copter"), motion):
+        elif flight.timed and motion.vehicle_class == "copter" and not _recorded(flight):
             remedy = "fly slower, or with parameters nearer to the defaults, with which autopilots keep to their legs"
-            findings.append(_near(flight, tubes, " with its parameters", remedy))
+            findings.append(_near(flight, tubes, " with its speed and parameters", remedy))
         return findings
     if motion.vehicle_class == "copter":
         findings += _held(flight, tubes)
     waived = scene.mission.fleet.direct_return == "waived" and sortie.ending != "rtl"
     findings.append(_home_against_the_wind(flight, waived=waived))
     return findings
+
+
+def _recorded(flight: Flight) -> bool:
+    """Whether it flies with parameters and at speeds with which recorded flights kept within the deviation."""
+    motion = flight.task.motion
+    fastest_m_s = max(leg.speed_m_s for leg in flight.sortie.legs)
+    return usual((motion.autopilot, motion.vehicle_class), motion) and fastest_m_s <= _RECORDED_M_S
 
 
 def _held(flight: Flight, tubes: Sequence[_Tube]) -> list[Finding]:

@@ -204,12 +204,12 @@ def test_a_vehicle_tuned_to_leave_its_legs_is_not_proven() -> None:
         plan = plan_fleet(scene_of(question(copter("alpha", (0, 0), (300, 0), stops=stops, parameters=parameters))))
         assert plan.certificate is not None
         assert plan.certificate.proven
-        return [f.detail for f in plan.certificate.findings if "with its parameters" in f.detail]
+        return [f.detail for f in plan.certificate.findings if "with its speed and parameters" in f.detail]
 
     assert planned_with() == []
     [told] = planned_with(WPNAV_ACCEL=150.0)
     assert told.startswith("is predicted at most 0.")
-    with pytest.raises(InfeasibleError, match=r"m off its legs with its parameters, allowed 2 m: fly slower, or with"):
+    with pytest.raises(InfeasibleError, match=r"m off its legs with its speed and parameters, allowed 2 m: fly slower, or with"):
         planned_with(PSC_POSXY_P=0.5, PSC_VELXY_P=0.5)
 
 

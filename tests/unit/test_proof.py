@@ -225,6 +225,23 @@ def test_corners_are_cut_and_what_is_flown_is_what_counts() -> None:
     assert reasons(scene(narrow, obstacles=[near]), corner) == []
 
 
+def test_faster_than_was_recorded_the_predicted_flight_must_stay_near_its_legs() -> None:
+    zigzag = [[0.0, 0.0, 140.0], [100.0, 0.0, 140.0], [60.0, 90.0, 150.0], [300.0, 0.0, 140.0]]
+    quick = copter("alpha", (0, 0), (300, 0), autopilot="px4", speed_m_s={"min": 3, "max": 12})
+    question = scene(quick)
+
+    def off(speed_m_s: float) -> list[Finding]:
+        findings = certified(question, zigzag, speed_m_s=speed_m_s).findings
+        return [f for f in findings if "off its legs" in f.detail]
+
+    assert off(8.0) == []
+    (told,) = off(12.0)
+    assert told.value is not None
+    assert told.required is not None
+    assert told.proven == (told.value <= told.required)
+    assert told.required == question.tasks[0].limits.deviation_m
+
+
 def test_the_way_home_of_a_mission_that_returns_counts_too() -> None:
     around: Line = [(0.0, 0.0, 140.0), (0.0, 100.0, 140.0), (300.0, 100.0, 140.0), (300.0, 0.0, 140.0)]
     mast = {"kind": "cylinder", "name": "mast", "center": at(150, 0), "radius_m": 5}
