@@ -268,6 +268,9 @@ _ARDUCOPTER = (
     Parameter("arducopter.position_gain", "1/s", 1.0, 0.5, 2.0, _as("PSC_POSXY_P", "PSC_NE_POS_P")),
     Parameter("arducopter.velocity_gains.0", "1/s", 2.0, 0.1, 6.0, _as("PSC_VELXY_P", "PSC_NE_VEL_P")),
     Parameter("arducopter.velocity_gains.1", "1/s^2", 1.0, 0.02, 1.0, _as("PSC_VELXY_I", "PSC_NE_VEL_I")),
+    Parameter("arducopter.vertical_gains.0", "1/s", 1.0, 0.5, 4.0, _as("PSC_POSZ_P", "PSC_D_POS_P")),
+    Parameter("arducopter.vertical_gains.1", "1/s", 5.0, 1.0, 10.0, _as("PSC_VELZ_P", "PSC_D_VEL_P")),
+    Parameter("arducopter.vertical_jerk_m_s3", "m/s^3", 5.0, 1.0, 50.0, _as("PSC_JERK_Z", "PSC_JERK_D")),
     Parameter("arducopter.velocity_gains.2", "", 0.5, 0.0, 1.0, _as("PSC_VELXY_D", "PSC_NE_VEL_D")),
 )
 _PX4_COPTER = (

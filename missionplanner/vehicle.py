@@ -76,6 +76,8 @@ class ArducopterTuning:
     input_time_s: float = 0.15  # ATC_INPUT_TC: how fast it leans
     position_gain: float = 1.0  # PSC_POSXY_P
     velocity_gains: tuple[float, float, float] = (2.0, 1.0, 0.5)  # PSC_VELXY_P, _I, _D
+    vertical_gains: tuple[float, float] = (1.0, 5.0)  # PSC_POSZ_P, PSC_VELZ_P
+    vertical_jerk_m_s3: float = 5.0  # PSC_JERK_Z
 
     @property
     def homing_m_s(self) -> float:
@@ -146,7 +148,7 @@ class MotionModel:
         if self.vehicle_class == "plane":
             return 1.0
         if self.autopilot == "ardupilot":
-            return max(1.0, 1.0 / self.arducopter.position_gain)
+            return max(1.0, 1.0 / self.arducopter.position_gain, 1.0 / self.arducopter.vertical_gains[0])
         return max(1.0, 0.95 / self.px4.position_gain, 1.0 / self.px4.vertical_position_gain)  # at the defaults: 1
 
     @property

@@ -156,11 +156,11 @@ def _tune_arducopter(row: FloatArray, tuning: ArducopterTuning) -> None:
     row[LEAN_SHARE] = _share(tuning.input_time_s)
     row[RATE_SHARE] = _share(0.08)  # the rate controller and the rotors
     row[DRAG], row[DRAG_SQUARED] = 0.41, 0.0132  # 10.35 m/s at 30 deg (measured)
-    row[ALTITUDE_GAIN], row[RISE_GAIN] = 1.0, 5.0  # PSC_POSZ_P, PSC_VELZ_P
+    row[ALTITUDE_GAIN], row[RISE_GAIN] = tuning.vertical_gains
     throttle = _GRAVITY_M_S2 / 0.39  # acceleration per throttle: MOT_THST_HOVER
     row[LIFT_GAIN], row[LIFT_INTEGRAL_GAIN] = 0.05 * throttle, 0.1 * throttle  # PSC_ACCZ_P, _I
     row[DRAG_VERTICAL] = 0.5
-    row[RISE_JERK] = 5.0  # PSC_JERK_Z
+    row[RISE_JERK] = tuning.vertical_jerk_m_s3
     row[TOUCHDOWN_RATE], row[TOUCHDOWN_HEIGHT] = tuning.land_speed_m_s, tuning.land_slow_below_m
 
 
