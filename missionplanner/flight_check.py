@@ -65,17 +65,16 @@ def nearest_pair(
     names: Sequence[str], trajectories: Sequence[Trajectory], required_m: Callable[[int, int], float]
 ) -> Clearance | None:
     """Return the pair with the least separation relative to what it needs (eq. 9); None for a single vehicle."""
-    pairs = [
-        Clearance(
-            distance_m=pair.distance_m,
-            required_m=required_m(pair.first, pair.second),
-            what=f"{names[pair.first]} - {names[pair.second]}",
-            position_m=(float(pair.first_m[0]), float(pair.first_m[1]), float(pair.first_m[2])),
-            t_s=pair.t_s,
-        )
-        for pair in timing.least_separation(trajectories)
-    ]
-    return min(pairs, key=lambda c: c.distance_m - c.required_m, default=None)
+    pair = timing.tightest_pair(trajectories, required_m)
+    if pair is None:
+        return None
+    return Clearance(
+        distance_m=pair.distance_m,
+        required_m=required_m(pair.first, pair.second),
+        what=f"{names[pair.first]} - {names[pair.second]}",
+        position_m=(float(pair.first_m[0]), float(pair.first_m[1]), float(pair.first_m[2])),
+        t_s=pair.t_s,
+    )
 
 
 def airborne_part(trajectory: Trajectory, airborne_s: float, column_m: float = COLUMN_M) -> Trajectory:

@@ -195,18 +195,21 @@ def tightest_pair(trajectories: Sequence[Trajectory], required_m: Callable[[int,
     """
     trees = _time_trees(trajectories)
     boxes = _boxes(trees)
+    low, high = boxes[:, None, :3], boxes[:, None, 3:]
+    gaps = np.maximum(0.0, np.maximum(low - high.swapaxes(0, 1), low.swapaxes(0, 1) - high))
+    apart_m = np.sqrt((gaps * gaps).sum(axis=-1)).tolist()
     rooms = []
     for i, j in combinations(range(len(trees)), 2):
-        gaps = np.maximum(0.0, np.maximum(boxes[i, :3] - boxes[j, 3:], boxes[j, :3] - boxes[i, 3:]))
         need_m = required_m(i, j)
-        rooms.append((math.sqrt(gaps @ gaps) - need_m, i, j, need_m))
+        rooms.append((apart_m[i][j] - need_m, i, j, need_m))
     tightest: Separation | None = None
     least_m = math.inf
     for room_m, i, j, need_m in sorted(rooms):
         if room_m >= least_m:
-            break
-        distance_m, t_s = closest_approach(trees[i], trees[j], least_m + need_m)
-        if distance_m - need_m < least_m:
+            break  # nor can any after it
+        most_m = least_m + need_m
+        distance_m, t_s = closest_approach(trees[i], trees[j], most_m)
+        if distance_m < most_m:
             least_m = distance_m - need_m
             tightest = Separation(i, j, distance_m, t_s, trajectories[i].at(t_s), trajectories[j].at(t_s))
     return tightest
