@@ -339,7 +339,7 @@ def flights(vehicles: int, seed: int, flight_s: float) -> list[Trajectory]:
 
 
 def separation(vehicles: int, seed: int, flight_s: float) -> list[Measured]:
-    """Find who comes near to whom (two ways: all pairs' least distances, or near ones alone), and lateness slacks."""
+    """Find who comes near to whom, the pair with the least room, and how late any one may be."""
     warm = flights(3, seed, 10.0)
     timing.least_separation(warm)
     timing.least_slack(warm, lambda _i, _j: _APART_M, _LATE_S)
@@ -347,7 +347,7 @@ def separation(vehicles: int, seed: int, flight_s: float) -> list[Measured]:
     near = len(timing.least_separation(tracks, _APART_M))
     works: dict[str, Callable[[], object]] = {
         "separation": lambda: timing.least_separation(tracks, _APART_M),
-        "separation_of_all_pairs": lambda: timing.least_separation(tracks),
+        "tightest": lambda: timing.tightest_pair(tracks, lambda _i, _j: _APART_M),
         "slack": lambda: timing.least_slack(tracks, lambda _i, _j: _APART_M, _LATE_S),
     }
     return [
@@ -408,7 +408,7 @@ _TITLES = {
     "simulator": "simulator with MAVLink: ArduCopters, missions uploaded, positions at 5 Hz",
     "motion": "motion alone: ArduCopters and PX4 multicopters",
     "separation": f"pairs that come within {_APART_M:g} m, over all time",
-    "separation_of_all_pairs": "least distances of all pairs, over all time",
+    "tightest": "the pair with the least room, over all time",
     "slack": f"how late any one may be: all pairs, up to {_LATE_S:g} s",
     "schedule": "schedules: speeds for a common arrival, on straight legs",
 }
