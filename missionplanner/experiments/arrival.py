@@ -52,7 +52,7 @@ class Condition:
     words: str
     planned: Weather
     spread_max_s: float
-    correct: bool = False
+    correct: bool = False  # by speeds, and by stopping copters for a while (fleet.correction: speed_and_hold)
 
 
 CONDITIONS = (
@@ -297,7 +297,15 @@ def _flown(scene: Scene, plan: FleetPlan, condition: Condition, seed: int, plann
             pauses = [Pause(disturbed, round(share * (plan.arrival_s or 0.0), 1), PAUSE_S)]
     begin_s = time.perf_counter()
     try:
-        flown = rehearse(scene, plan, correct=condition.correct, wind_m_s=wind_m_s, late_s=late_s, pauses=pauses)
+        flown = rehearse(
+            scene,
+            plan,
+            correct=condition.correct,
+            hold=condition.correct,
+            wind_m_s=wind_m_s,
+            late_s=late_s,
+            pauses=pauses,
+        )
     except MissionPlannerError as error:
         return Run(condition.name, seed, disturbed, f"not flown: {error}", planning_s=planning_s)
     return _told(flown, scene, plan, condition, seed, disturbed, planning_s, time.perf_counter() - begin_s)
