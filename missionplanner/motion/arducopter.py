@@ -81,8 +81,10 @@ from missionplanner.motion.state import (
 
 _BEFORE, _NOW, _NEXT = np.array([-1, 0, 1])  # roles of the three legs; as in scurve
 _ROLLING_M_S = 1e-6  # as slow as something can be that has not stopped
+_STILL_M_S = 0.01
+_UNSEEN_S = 0.12  # what is left of a leg so long before its end is too little for single precision
 _HERE_M = 0.1
-_SETTLE_S = 1.1  # what a first leg to where it already is takes: to the centimetre, it never is there
+_SETTLE_S = 1.2  # what a first leg to where it already is takes: to the centimetre, it never is there
 _FAR_S = 1e4  # a leg so long that it reaches any speed
 _STEADY_END = 4  # the segment after the steady acceleration
 _LOOP_S = 0.0025  # the autopilot's main loop, in which it looks whether a corner may begin
@@ -97,7 +99,8 @@ def step(s: FloatArray, k: IntArray, route: FloatArray, dt: float) -> None:
         k[SLOT] = 0
         k[STALE] = -1
         s[PACE] = 1.0
-        if s[TARGET_VELOCITY] != 0.0 or s[TARGET_VELOCITY + 1] != 0.0:  # told anew on its way, it stops where it can
+        # told anew on its way, it stops where it can
+        if math.hypot(s[TARGET_VELOCITY], s[TARGET_VELOCITY + 1]) > _STILL_M_S:
             for axis in range(2):
                 s[TARGET + axis], s[TARGET_VELOCITY + axis] = s[POSITION + axis], s[VELOCITY + axis]
     h = STEP_S
@@ -133,7 +136,7 @@ def _wait_for_vehicle(s: FloatArray, h: float) -> None:
         lag += wanted * (s[TARGET + axis] - s[POSITION + axis])
         flown += wanted * s[VELOCITY + axis]
     pace = 1.0
-    if speed2 > 0.0:
+    if speed2 > _STILL_M_S * _STILL_M_S:
         pace = min(1.0, max(0.0, 0.05 + (flown - s[POSITION_GAIN] * lag) / speed2))
     s[PACE] += (pace - s[PACE]) * h * s[JERK] / s[ACCELERATION]
 
@@ -283,10 +286,11 @@ def _advance(s: FloatArray, k: IntArray, route: FloatArray, duration_s: float, s
             continue
         end_s = scurve.begins(this, scurve.END)
         turning = following[TIME] > 0.0 and following[CURVED] == 0.0
+        event_s = end_s - _UNSEEN_S - this[TIME]
         if turning:  # the waypoint counts as reached half way through the turn
             event_s = 0.5 * (end_s - this[TIME] - following[TIME])
-        else:
-            event_s = min(this[CORNER], end_s) - this[TIME]
+        elif this[CORNER] < end_s - _UNSEEN_S:
+            event_s = this[CORNER] - this[TIME]
         event_s = max(event_s, 0.0)
         step_s = min(left_s, event_s)
         before[TIME] += step_s
@@ -297,7 +301,7 @@ def _advance(s: FloatArray, k: IntArray, route: FloatArray, duration_s: float, s
         left_s -= step_s
         if step_s < event_s:
             return
-        if turning or this[TIME] >= end_s - 1e-9:
+        if turning or this[TIME] >= end_s - _UNSEEN_S - 1e-9:
             _pass_waypoint(s, k, route, scurve.along(this, math.inf)[1])
         else:
             following[TIME] = 1e-12  # it runs from here on

@@ -34,10 +34,12 @@ def test_copters_keep_their_limits(model: MotionModel, points: np.ndarray, speed
     velocity = np.diff(flight.position_m, axis=0) / TICK_S
     acceleration = np.diff(velocity, axis=0) / TICK_S
     assert np.all(np.isfinite(flight.position_m))
-    # controllers overshoot, recorded up to 5 %; and ArduCopter adds up the vertical rates of two legs in a corner
+    # controllers overshoot, recorded up to 5 %; and ArduCopter 4.5 adds up two legs in a corner, where it looks at the
+    # horizontal speed alone
+    over = 2.0 if model is COPTER else 1.1
     assert np.hypot(velocity[:, 0], velocity[:, 1]).max() <= 1.1 * speed_m_s + 0.15
-    assert velocity[:, 2].max() <= 1.4 * model.climb_rate_m_s
-    assert velocity[:, 2].min() >= -1.4 * model.descent_rate_m_s
+    assert velocity[:, 2].max() <= over * model.climb_rate_m_s
+    assert velocity[:, 2].min() >= -over * model.descent_rate_m_s
     if len(acceleration):
         assert np.hypot(acceleration[:, 0], acceleration[:, 1]).max() <= 5.0  # twice WPNAV_ACCEL
     assert np.all(np.diff(reached_s) >= 0.0)

