@@ -15,7 +15,7 @@ MODELS = {
     "plane": MotionModel("ardupilot", "plane", 1.5, 1.0, 5.0, 5.0, 50.0, 60.0),
 }
 # mean leg error, arrival as a share, arrival in seconds (the looser of the two counts), position error (95 %)
-LIMITS = {"ardupilot": (0.025, 0.004, 0.5, 3.5), "plane": (0.01, 0.004, 0.5, 10.5), "px4": (0.04, 0.013, 1.0, 17.0)}
+LIMITS = {"ardupilot": (0.025, 0.003, 0.45, 2.8), "plane": (0.01, 0.004, 0.5, 10.5), "px4": (0.04, 0.013, 1.0, 17.0)}
 # Up to the waypoint where chance decided: PX4, by what its position estimate drifted, was 2.4 m past its leg there. A
 # stray of more than 2 m stops and returns to the leg; predicted are 1.6 m.
 STRAYED = {"px4_B_corner90_10": 1}
