@@ -13,6 +13,7 @@ import math
 from collections import OrderedDict, deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -370,6 +371,7 @@ class _Tracked:
     lost: bool = False  # the autopilot has forgotten what was commanded
     failures: int = 0
     held_s: float | None = None  # since when it holds where its mission wants it
+    bounds: tuple[tuple[float, float], tuple[float, float]] | None = None  # of its scale, and the wind they hold in
     stopped_s: float | None = None  # until when it is to stand, by our command
     moves: deque[tuple[float, int, FloatArray]] = field(default_factory=lambda: deque(maxlen=64))
     felt: deque[Gust] = field(default_factory=lambda: deque(maxlen=120))
@@ -398,6 +400,7 @@ _FROM_CORNERS_M = 25.0
 _SPARSE = 10  # samples: half a second
 _COPTER_STRAYS, _PLANE_STRAYS = 0.95, 0.2
 """Shares of what may be strayed; a plane's is its navigator's, of which a correction may take only little."""
+_TRIED = 9  # scales
 _LOOKS = 4  # in so many thoughts, all flights are held against each other once
 _ROOM_S = 0.5  # how early or late any one may be before it is told that vehicles come too close
 _TOLD_S = 5.0  # who is earlier than that is told
@@ -565,7 +568,7 @@ class Pacer:
             at_s = seen.t_s if seen.arrival_s is None else seen.arrival_s
             late_s = at_s - course.arrival_s
             return Pace(course.name, state, late_s, course.arrival_s, at_s, at_s, at_s, None, seen.t_s, fixed=True)
-        low, high = course.factors
+        low, high = self._bounds(tracked)
         if state == "flying":
             self._learn(tracked)
         else:
@@ -661,7 +664,7 @@ class Pacer:
 
     def _factor_for(self, tracked: _Tracked, arrival_s: float) -> float:
         """Return the scale of the planned speeds at which a vehicle arrives closest to a time."""
-        low, high = tracked.course.factors
+        low, high = self._bounds(tracked)
         late, early = self._arrival_s(tracked, low) - arrival_s, self._arrival_s(tracked, high) - arrival_s
         if late <= 0.0:
             return low
@@ -698,6 +701,8 @@ class Pacer:
         if not (seen.in_mission and 0 < leg < len(course.waypoints_m)) or tracked.lost or seen.paused:
             return
         if tracked.felt and seen.t_s < tracked.felt[-1].t_s + _GUST_EVERY_S:
+            return
+        if seen.t_s < tracked.due_s:  # it may still be taking up the speed last commanded
             return
         recent = [move for move in tracked.moves if move[0] >= seen.t_s - _STEADY_S]
         if seen.t_s - recent[0][0] < 0.7 * _STEADY_S or any(move[1] != leg for move in recent):
@@ -750,20 +755,16 @@ class Pacer:
         if not wanting:
             return (), ""
         needed_s = self._needed_slack_s()
-        problem = astray = ""
+        problem = ""
         for shift_s in (0.0, *_ELSEWHERE_S):
             factors: dict[int, float] = {}
             for k in wanting if shift_s == 0.0 else ready:
-                factor = self._factor_for(self._tracked[k], _target_s(paces[k], delays[k] + shift_s))
-                if self._keeps_to_its_way(self._tracked[k], factor):
-                    factors[k] = factor
-                else:
-                    astray = f"{paces[k].name} would leave its proven way at the speed that brings it in time"
+                factors[k] = self._factor_for(self._tracked[k], _target_s(paces[k], delays[k] + shift_s))
                 yield
             tight = self._too_close(factors, needed_s)
             if tight is None:
                 trims = [self._trim(k, factors[k], paces[k], delays[k] + shift_s) for k in factors]
-                return tuple(trim for trim in trims if trim is not None), problem or astray
+                return tuple(trim for trim in trims if trim is not None), problem
             if not problem:
                 problem = f"arriving {delays[wanting[0]]:+.0f} s from the plan would bring {tight}"
         return (), f"{problem}, and so would what was tried instead: speeds are left as they are"
@@ -817,7 +818,7 @@ class Pacer:
 
         What is left then, above and below, is for corrections after it.
         """
-        low, high = tracked.course.factors
+        low, high = self._bounds(tracked)
         then_s = self._arrival_s(tracked, min(_AFTER_A_STOP * low, high))
         assert tracked.place is not None
         return min(pace.planned_s + delay_s, tracked.course.latest_s(tracked.place)) - then_s
@@ -827,27 +828,40 @@ class Pacer:
         assert tracked.place is not None
         return tracked.place.leg - 1
 
-    def _keeps_to_its_way(self, tracked: _Tracked, factor: float) -> bool:
-        """Whether the rest of a flight at scaled speeds, in the air as it is known, stays where it was proven.
+    def _bounds(self, tracked: _Tracked) -> tuple[float, float]:
+        """Return the least and the greatest scale at which the rest of a flight stays on its proven way.
 
-        A copter that leans as far as it may has nothing left against a wind from the side; a plane's turns are wider
-        the faster it flies, and it was proven around its planned flight.
+        In the air as it is known. A copter that leans as far as it may has nothing left against a wind from the side; a
+        plane's turns are wider the faster it flies, and it was proven around its planned flight.
         """
         course = tracked.course
+        low, high = course.factors
         plane = course.model.vehicle_class == "plane"
-        if math.isinf(course.deviation_m) or (not plane and factor <= tracked.factor):
-            return True
-        line = course.planned.position_m[::_SPARSE] if plane else course.waypoints_m
-        legs = np.stack([line[:-1], line[1:]], axis=1)
+        if math.isinf(course.deviation_m) or (not plane and self._wind_m_s == (0.0, 0.0)):
+            return low, high
+        if tracked.bounds is None or tracked.bounds[0] != self._wind_m_s:
+            if plane:
+                slower = takewhile(lambda scale: self._on_its_way(tracked, scale), np.linspace(1.0, low, _TRIED)[1:])
+                faster = takewhile(lambda scale: self._on_its_way(tracked, scale), np.linspace(1.0, high, _TRIED)[1:])
+                found = min([1.0, *map(float, slower)]), max([1.0, *map(float, faster)])
+            else:
+                tries = np.linspace(high, low, _TRIED)
+                found = low, next((float(scale) for scale in tries if self._on_its_way(tracked, float(scale))), low)
+            tracked.bounds = (self._wind_m_s, found)
+        low, high = tracked.bounds[1]
+        return min(low, tracked.factor), max(high, min(tracked.factor, course.factors[1]))
 
-        def off_m(scale: float) -> float:
-            ahead = self._ahead(tracked, scale)
-            until = max(int(np.searchsorted(ahead.t_s, self._arrival_s(tracked, scale))), 1)
-            return off_legs_m(Trajectory(ahead.t_s[:until:_SPARSE], ahead.position_m[:until:_SPARSE]), legs)
-
+    def _on_its_way(self, tracked: _Tracked, scale: float) -> bool:
+        course = tracked.course
+        plane = course.model.vehicle_class == "plane"
+        line = np.concatenate([course.home_m[None], course.waypoints_m])
+        if plane:
+            line = course.planned.position_m[::_SPARSE]
+        ahead = self._ahead(tracked, scale)
+        until = max(int(np.searchsorted(ahead.t_s, self._arrival_s(tracked, scale))), 1)
+        flown = Trajectory(ahead.t_s[:until:_SPARSE], ahead.position_m[:until:_SPARSE])
         allowed_m = (_PLANE_STRAYS if plane else _COPTER_STRAYS) * course.deviation_m
-        found_m = off_m(factor)
-        return found_m <= allowed_m or (not plane and found_m <= off_m(tracked.factor))
+        return off_legs_m(flown, np.stack([line[:-1], line[1:]], axis=1)) <= allowed_m
 
     def _may_trim(self, k: int, pace: Pace) -> bool:
         tracked = self._tracked[k]
