@@ -320,6 +320,8 @@ def test_a_late_start_is_caught_up_where_it_can_be() -> None:
     assert toy.spread_s <= 0.6
     assert max(a or 0.0 for a in toy.arrival_s) == pytest.approx(courses[0].arrival_s, abs=0.6)
     assert {i for _, i, _ in toy.commanded} == {1}
+    # who takes up a new speed is not held up by any wind
+    assert {advice.wind_m_s for advice in toy.advice} == {(0.0, 0.0)}
 
 
 def test_a_late_start_that_cannot_be_caught_up_delays_all_by_as_little_as_can_be() -> None:
@@ -480,3 +482,21 @@ def test_a_solved_speed_is_monotone_in_the_arrival_asked_for() -> None:
     for a, factor in zip(asked_s, factors, strict=True):
         if low < factor < high:
             assert toy.pacer._arrival_s(tracked, factor) == pytest.approx(float(a), abs=0.3)
+
+
+def test_no_copter_is_told_a_faster_speed_where_the_wind_would_push_it_off_its_way() -> None:
+    way = line("uav1", 0.0, 2400.0, 90.0)
+    found = {}
+    for deviation_m in (math.inf, 2.0, 1e-4):  # the last: so narrow that no speed keeps to it
+        toy = Toy([replace(way, deviation_m=deviation_m)])
+        while toy.t_s < 40.0:
+            toy.step()
+        toy.think()
+        toy.pacer._wind_m_s = (0.0, 6.5)
+        (tracked,) = toy.pacer._tracked
+        found[deviation_m] = toy.pacer._bounds(tracked)
+        toy.pacer._wind_m_s = (0.0, 0.0)
+        assert toy.pacer._bounds(tracked) == way.factors
+    assert found[math.inf] == way.factors
+    assert found[2.0][0] == found[1e-4][0] == way.factors[0]
+    assert found[1e-4][1] == 1.0 <= found[2.0][1]  # as it flies now, but no faster
