@@ -155,7 +155,7 @@ def _tune_arducopter(row: FloatArray, tuning: ArducopterTuning) -> None:
     row[LEAN] = _GRAVITY_M_S2 * math.tan(math.radians(tuning.lean_deg))
     row[LEAN_SHARE] = _share(tuning.input_time_s)
     row[RATE_SHARE] = _share(0.14)  # the rate controller and the rotors
-    row[DRAG], row[DRAG_SQUARED] = 0.48, 0.0065  # 10.35 m/s at 30 deg (measured)
+    row[DRAG], row[DRAG_SQUARED] = 0.48, 0.0064  # 10.35 m/s at 30 deg (measured)
     row[ALTITUDE_GAIN], row[RISE_GAIN] = tuning.vertical_gains
     throttle = _GRAVITY_M_S2 / 0.39  # acceleration per throttle: MOT_THST_HOVER
     row[LIFT_GAIN], row[LIFT_INTEGRAL_GAIN] = 0.05 * throttle, 0.1 * throttle  # PSC_ACCZ_P, _I
