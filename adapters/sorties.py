@@ -125,7 +125,8 @@ _NOT_FOLLOWED = {
     3000: ("DO_VTOL_TRANSITION", "VTOL aircraft are not modelled"),
 }
 
-_AIRSPEED, _GROUND_SPEED = 0, 1  # speed types
+_LEAST_RATE_M_S = 0.1  # the least of WPNAV_SPEED_UP and WPNAV_SPEED_DN
+_AIRSPEED, _GROUND_SPEED, _CLIMB_SPEED, _DESCENT_SPEED = range(4)  # speed types
 _LEAST_SPEED_M_S = 0.2  # ArduCopter ignores less (measured)
 _LEAST_CLIMB_M = 1.0  # a take-off to less is raised by the autopilot itself
 _CIRCLE_RADIUS_M = 10.0  # CIRCLE_RADIUS
@@ -382,6 +383,7 @@ class _Reader:
         self.home_m = home_m
         self.motion = motion
         self.speed_m_s = self.default_m_s = speed_m_s
+        self.climb_m_s = self.descent_m_s = math.inf
         self.airspeed_limits_m_s = airspeed_limits_m_s
         self.ground = ground
         self.here_m = home_m
@@ -498,7 +500,8 @@ class _Reader:
         """Add a leg; before the first comes a take-off."""
         if not self.legs and self._lift(item, end_m):
             return
-        self._add(Leg(item.seq, kind, end_m, self.speed_m_s, hold_s))
+        vertical_m_s = self.climb_m_s if end_m[2] > self.here_m[2] else self.descent_m_s
+        self._add(Leg(item.seq, kind, end_m, self.speed_m_s, hold_s, vertical_m_s=vertical_m_s))
 
     def _lift(self, item: MissionItem, end_m: FloatArray) -> bool:
         """Add the take-off of a mission that has no item for it; return whether that is all there is to fly.
@@ -732,8 +735,14 @@ class _Reader:
             self._change_airspeed(item)
         elif value_m_s <= 0.0:
             self.notes.append(f"item {item.seq}: ArduCopter ignores a speed of {value_m_s:g} m/s")
+        elif int(kind) in (_CLIMB_SPEED, _DESCENT_SPEED) and value_m_s < _LEAST_RATE_M_S:
+            self._gap(item, f"what ArduCopter makes of a climb or descent at {value_m_s:g} m/s is not known")
+        elif int(kind) == _CLIMB_SPEED:
+            self.climb_m_s = value_m_s
+        elif int(kind) == _DESCENT_SPEED:
+            self.descent_m_s = value_m_s
         elif int(kind) not in (_AIRSPEED, _GROUND_SPEED):
-            self._gap(item, "changes how fast it climbs or sinks, which is not modelled")
+            self._gap(item, f"changes a speed of type {kind:g}, which is not known")
         elif value_m_s < _LEAST_SPEED_M_S:
             if len(self.legs) < 2:  # kept until the first waypoint, and then raised
                 self._gap(item, f"what ArduCopter makes of {value_m_s:g} m/s before its first waypoint is not known")

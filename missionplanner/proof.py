@@ -238,6 +238,7 @@ def _predicted(scene: Scene, task: VehicleTask, sortie: Sortie, until_s: float =
         np.array([leg.speed_m_s for leg in sortie.legs[1:]] or [sortie.legs[0].speed_m_s]),
         hold_s=np.array([leg.hold_s for leg in sortie.legs[1:]] or [0.0]),
         spline=np.array([leg.kind == "spline" for leg in sortie.legs[1:]] or [False]),
+        vertical_m_s=np.array([leg.vertical_m_s for leg in sortie.legs[1:]] or [math.inf]),
         end=sortie.ending,
         ground_amsl_m=ground_m if math.isfinite(ground_m) else float(sortie.home_m[2]),
         start_delay_s=sortie.start_delay_s,

@@ -31,6 +31,7 @@ class Leg:
     hold_s: float = 0.0
     radius_m: float = 0.0  # of a circle
     turns: float = math.inf  # of a circle, at most
+    vertical_m_s: float = math.inf  # bound on its climb or descent rate that the mission sets
 
 
 @dataclass(frozen=True, slots=True)

@@ -32,6 +32,7 @@ def predict_flight(
     *,
     hold_s: npt.ArrayLike | None = None,
     spline: npt.ArrayLike | None = None,
+    vertical_m_s: npt.ArrayLike | None = None,
     end: Ending = "loiter",
     ground_amsl_m: float = 0.0,
     start_delay_s: float = 0.0,
@@ -48,6 +49,7 @@ def predict_flight(
     speed_m_s : of all legs, or of each leg (W - 1,)
     hold_s : how long it stands still at each waypoint but the first (W - 1,); default: nowhere
     spline : whether an ArduCopter flies a spline to each waypoint but the first (W - 1,); default: nowhere
+    vertical_m_s : bound on the climb or descent rate to each waypoint but the first (W - 1,); default: none
     ground_amsl_m : the ground under the last waypoint, for ``end="land"``
     start_delay_s : time at home before the start
     until_s : time up to which the flight is of interest; one that has landed stays where it is anyway
@@ -55,7 +57,7 @@ def predict_flight(
     home = np.asarray(home_m, dtype=float)
     waypoints = np.asarray(waypoints_m, dtype=float).reshape(-1, 3)
     navigator = Navigator([model], home[None])
-    parts, reached_s = _outbound(navigator, model, home, waypoints, speed_m_s, hold_s, spline)
+    parts, reached_s = _outbound(navigator, model, home, waypoints, speed_m_s, hold_s, spline, vertical_m_s)
     last_m_s = float(np.ravel(speed_m_s)[-1])
     match end:
         case "land":
@@ -94,13 +96,14 @@ def _outbound(
     speed_m_s: npt.ArrayLike,
     hold_s: npt.ArrayLike | None = None,
     spline: npt.ArrayLike | None = None,
+    vertical_m_s: npt.ArrayLike | None = None,
 ) -> tuple[list[Trajectory], FloatArray]:
     """Fly take-off and legs; return their trajectories and when the waypoints were reached, without delay."""
     takeoff, times = navigator.fly(takeoff_points(model, home, waypoints[0]))
     parts = [takeoff]
     reached_s = times[-1:]
     if len(waypoints) > 1:
-        legs, times = navigator.fly(Route.through(waypoints[1:], speed_m_s, hold_s, spline=spline))
+        legs, times = navigator.fly(Route.through(waypoints[1:], speed_m_s, hold_s, vertical_m_s, spline=spline))
         parts.append(legs)
         reached_s = np.concatenate([reached_s, float(takeoff.t_s[-1]) + times])
     return parts, reached_s

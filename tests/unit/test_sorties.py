@@ -398,9 +398,17 @@ def test_arducopter_ignores_no_speed(value: float) -> None:
     assert any("ignores a speed" in note for note in sortie.notes)
 
 
+def test_arducopters_rates_of_climb_and_descent() -> None:
+    higher = replace(B, z=B.z + 30.0)
+    sortie = _copter(A, _speed(1.0, 2.0), _speed(0.7, 3.0), higher, A, RTL)
+    assert sortie.gaps == ()
+    assert [leg.vertical_m_s for leg in sortie.legs[-2:]] == pytest.approx([1.0, 0.7])
+
+
 def test_speeds_whose_effect_is_not_known() -> None:
     assert "before its first waypoint" in _copter(_speed(0.1), A, RTL).gaps[0].what
-    assert "climbs or sinks" in _copter(A, _speed(1.0, 2.0), B, RTL).gaps[0].what
+    assert "not known" in _copter(A, _speed(1.0, 4.0), B, RTL).gaps[0].what
+    assert "climb or descent" in _copter(A, _speed(1e-9, 2.0), B, RTL).gaps[0].what
     assert "refuses" in _copter(A, _speed(math.nan), B, RTL).gaps[0].what
     assert "after a condition" in _copter(A, MissionItem(0, 2, 112, 5.0), _speed(3.0), B, RTL).gaps[0].what
     assert _copter(A, MissionItem(0, 2, 112, 5.0), B, _speed(3.0), RTL).gaps == ()
