@@ -400,6 +400,7 @@ _FROM_CORNERS_M = 25.0
 _SPARSE = 10  # samples: half a second
 _COPTER_STRAYS, _PLANE_STRAYS = 0.95, 0.2
 """Shares of what may be strayed; a plane's is its navigator's, of which a correction may take only little."""
+_LITTLE_S, _MUCH = 1.5, 0.25  # no such share of its speed is changed for so little time
 _TRIED = 9  # scales
 _LOOKS = 4  # in so many thoughts, all flights are held against each other once
 _ROOM_S = 0.5  # how early or late any one may be before it is told that vehicles come too close
@@ -892,6 +893,8 @@ class Pacer:
         if abs(then_m_s - now_m_s) < 2.0 * SPEED_STEP_M_S and not tracked.lost:
             return None
         miss_s = pace.arrival_s - _target_s(pace, delay_s)
+        if abs(miss_s) < _LITTLE_S and abs(then_m_s / now_m_s - 1.0) > _MUCH and not tracked.lost:
+            return None  # what is left hardly depends on its speed: steep, or against the wind
         why = f"would arrive {abs(miss_s):.1f} s {'late' if miss_s > 0.0 else 'early'}"
         if abs(delay_s) >= 0.5:
             why += f"; all {abs(delay_s):.0f} s {'later' if delay_s > 0.0 else 'earlier'} than planned"
