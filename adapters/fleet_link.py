@@ -161,6 +161,8 @@ class FleetLink:
         self._altitude_tolerance_m = altitude_tolerance_m
         self._log = log
         self._start_s: float | None = None
+        self._later: dict[int, Steps] = {}  # starts still to come
+        self._grounded: dict[int, LinkError] = {}  # who did not start when it should
         self._keeper: PaceKeeper | None = None
 
     @property
@@ -258,8 +260,9 @@ class FleetLink:
     ) -> None:
         """Wait until all can be armed, arm all, then start all in one burst: all or none.
 
-        Vehicles with a start delay are armed and started that much later; this returns when all are in their missions.
-        With ``at_s``, on the link's clock, nothing is armed before it is nearly time, and the start is just then.
+        Vehicles with a start delay are armed and started that much later, by :meth:`watch`; this returns when the first
+        are in their missions. With ``at_s``, on the link's clock, nothing is armed before it is nearly time, and the
+        start is just then.
 
         Raises
         ------
@@ -289,10 +292,7 @@ class FleetLink:
             self._station.together({sysid: self._starting(vehicle) for sysid, vehicle in first.items()})
         except LinkError as error:
             raise LinkError(f"{error}; {self._stand_down()}") from error
-        later = {k: v for k, v in self._vehicles.items() if k not in first}
-        self._station.together(
-            {k: self._starting_later(v) for k, v in later.items()}, after_failure="the others fly their missions"
-        )
+        self._later = {k: self._starting_later(v) for k, v in self._vehicles.items() if k not in first}
 
     def watch(
         self, progress: WatchProgress | None = None, *, pacer: Pacer | None = None, tell: Told | None = None
@@ -305,24 +305,29 @@ class FleetLink:
         Raises
         ------
         LinkError
-            A vehicle was not heard for a minute, restarted in flight, or takes far longer than planned, once the others
-            have ended theirs. :meth:`flight` has what was recorded.
+            A vehicle did not start when its delay was over, was not heard for a minute, restarted in flight, or takes
+            far longer than planned, once the others have ended theirs. :meth:`flight` has what was recorded.
         """
         assert self._start_s is not None, "start first"
         longest_s = max(float(vehicle.plan.trajectory.t_s[-1]) for vehicle in self._vehicles.values())
         give_up_s = self._start_s + 2.0 * longest_s + 2.0 * _LOST_S
         shown_s = -math.inf
         vehicles = list(self._vehicles.values())
+
+        def sighting(i: int, now_s: float) -> Sighting | None:
+            return None if vehicles[i].plan.sysid in self._grounded else vehicles[i].sighting(now_s)
+
         if pacer is not None:
-            self._keeper = PaceKeeper(
-                pacer, self._station, vehicles, lambda i, now_s: vehicles[i].sighting(now_s), self._log, tell
-            )
+            self._keeper = PaceKeeper(pacer, self._station, vehicles, sighting, self._log, tell)
         while True:
             self._station.exchange()
             now_s = self._clock.now_s()
+            self._start_those_due(tell)
             if self._keeper is not None:
                 self._keeper.step(now_s)
-            ended = all(vehicle.ended or vehicle.lost(now_s) for vehicle in self._vehicles.values())
+            ended = not self._later and all(
+                k in self._grounded or vehicle.ended or vehicle.lost(now_s) for k, vehicle in self._vehicles.items()
+            )
             if progress is not None and (ended or now_s >= shown_s + _PROGRESS_S):
                 shown_s = now_s
                 advice = None if self._keeper is None else self._keeper.advice
@@ -331,10 +336,25 @@ class FleetLink:
             if ended or now_s > give_up_s:
                 break
             self._clock.wait(WAIT_S)
-        failures = [v.failure(self._clock.now_s()) for v in self._vehicles.values() if not v.ended]
+        failures = [
+            self._grounded.get(k) or v.failure(self._clock.now_s()) for k, v in self._vehicles.items() if not v.ended
+        ]
         if failures:
             raise joined(failures)
         return self.flight()
+
+    def _start_those_due(self, tell: Told | None) -> None:
+        """Go on with the starts that are still to come; who does not start stays where it is, the others fly on."""
+        for sysid in list(self._later):
+            try:
+                next(self._later[sysid])
+            except StopIteration:
+                del self._later[sysid]
+            except LinkError as failure:
+                del self._later[sysid]
+                self._grounded[sysid] = failure
+                if tell is not None:
+                    tell(f"{failure}; the others fly their missions")
 
     def flight(self) -> FleetFlight:
         """Return what has been recorded so far."""

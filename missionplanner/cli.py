@@ -477,8 +477,8 @@ def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, pacer: Pacer, *, si
     except LinkError as error:
         if not link.armed:
             raise
-        failure = error  # somebody who was to start later has not; the others fly and are watched
-        print(f"missionplanner: {error}; watching the others", file=sys.stderr)
+        failure = error  # somebody did not answer when the start was called off, and may be flying
+        print(f"missionplanner: {error}; watching", file=sys.stderr)
     except KeyboardInterrupt:
         _leave(link, simulated=simulated)
         raise

@@ -546,7 +546,7 @@ class Mission(Model):
     wind: Wind | None = Field(None, description="steady wind: flights are predicted in it; default: calm")
     wind_max_m_s: NonNegative | None = Field(
         None,
-        description="strongest wind to be expected, from any direction: energy and ways home are judged in it; default: "
+        description="strongest wind to be expected, from any direction: energy and ways home are judged by it; default "
         "the wind alone",
     )
     planner: Planner = Planner()

@@ -78,6 +78,11 @@ class Course:
     deviation_m: float = math.inf  # how far its autopilot may leave the legs (planes: the planned flight)
     spare_s: FloatArray | None = None  # (S,) longer than planned its battery surely lasts, from each planned sample on
 
+    @property
+    def start_s(self) -> float:
+        """When it is planned to leave the ground."""
+        return times_at(self, self.planned, self.reached_s, Place(0, 0.0))[1]
+
     def speeds(self, factor: float) -> FloatArray:
         """Return the speeds (W - 1,) commanded when the planned ones are scaled."""
         speeds: FloatArray = np.clip(factor * self.speed_m_s, self.speed_min_m_s, self.speed_max_m_s)
@@ -178,6 +183,10 @@ def place_of(course: Course, waypoint: int, position_m: FloatArray) -> Place:
         return Place(len(course.waypoints_m), 0.0)
     shares = _shares(course, waypoint, np.asarray(position_m, dtype=float)[None])
     return Place(waypoint, float(shares[0]))
+
+
+def _on_ground(place: Place) -> bool:
+    return place.leg == 0 and place.share < _LIFTED_OFF
 
 
 def _shares(course: Course, leg: int, position_m: FloatArray) -> FloatArray:
@@ -390,6 +399,7 @@ class _Tracked:
 _TRUSTED_S = 60.0
 _SLOWNESS = (0.8, 1.5)
 _KEPT_FLIGHTS = 12
+_LIFTED_OFF = 0.02  # share of the climb to the first waypoint
 _STILL_M_S = 0.4
 _STILL_S = 4.0
 _STEADY_S = 3.0
@@ -538,7 +548,7 @@ class Pacer:
             return "arrived"
         if seen.age_s > self.rules.stale_s:
             return "unheard"
-        if place.leg == 0 and place.share < 0.02:
+        if _on_ground(place):
             return "waiting"
         if not seen.in_mission:
             return "away"
@@ -636,7 +646,14 @@ class Pacer:
         assert tracked.seen is not None
         flight, reached_s = self._flight(tracked, factor)
         remaining_s = float(reached_s[-1]) - self._now_in_s(tracked, flight, reached_s)
-        return tracked.seen.t_s + tracked.slowness * max(remaining_s, 0.0)
+        return self._goes_on_s(tracked) + tracked.slowness * max(remaining_s, 0.0)
+
+    def _goes_on_s(self, tracked: _Tracked) -> float:
+        """Return from when on a vehicle flies what is left: from its start on, if that is still to come."""
+        assert tracked.seen is not None
+        assert tracked.place is not None
+        t_s = tracked.seen.t_s
+        return max(t_s, tracked.course.start_s) if _on_ground(tracked.place) else t_s
 
     def _now_in_s(self, tracked: _Tracked, flight: Trajectory, reached_s: FloatArray) -> float:
         """Return when a flight is where the vehicle is now."""
@@ -660,7 +677,7 @@ class Pacer:
             begin_s = self._now_in_s(tracked, flight, reached_s)
             slowness = tracked.slowness
         later = flight.t_s > begin_s
-        t_s = tracked.seen.t_s + slowness * (np.concatenate([[begin_s], flight.t_s[later]]) - begin_s)
+        t_s = self._goes_on_s(tracked) + slowness * (np.concatenate([[begin_s], flight.t_s[later]]) - begin_s)
         return Trajectory(t_s, np.concatenate([flight.at(begin_s)[None], flight.position_m[later]]))
 
     def _factor_for(self, tracked: _Tracked, arrival_s: float) -> float:

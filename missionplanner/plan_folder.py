@@ -107,6 +107,11 @@ class _LatenessRecord(_Record):
     lateness_s: tuple[float, ...]
     arrival_s: tuple[float, ...]
 
+    @property
+    def history(self) -> Lateness:
+        """What was watched."""
+        return Lateness(np.array(self.t_s), np.array(self.lateness_s), np.array(self.arrival_s))
+
 
 class _FlownRecord(_Record):
     name: str
@@ -290,7 +295,7 @@ def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
                 v.arrival_s,
                 v.landed_s,
                 plan.mission.fleet.arrives_after_s(v.name),
-                v.lateness and Lateness(*map(np.array, (v.lateness.t_s, v.lateness.lateness_s, v.lateness.arrival_s))),
+                None if v.lateness is None else v.lateness.history,
             )
             for v in record.vehicles
         ),

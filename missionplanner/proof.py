@@ -42,7 +42,7 @@ _CHORD_TICKS = 2  # planes pull 3 g, and 5 as they lift off
 CHORD_ERROR_M = 0.04
 """Chords of 0.2 s of a predicted flight are at most so far off it at 4 m/s^2."""
 _ANGLE_SLACK_RAD = 1e-5
-_RECORDED_M_S = 10.0 + 1e-6
+_RECORDED_M_S = 10.5
 _SPEED_SLACK_M_S = 1e-3  # single precision on the wire
 _LEVEL_M = 0.01
 _MEETING_M = 0.1  # a waypoint is at a place of the route as far as its wire format tells

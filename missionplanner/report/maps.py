@@ -447,10 +447,9 @@ def _wind_arrow(axes: Axes, facts: Sketch, x: float, top: float) -> None:
     wind = facts.scene.mission.wind
     if wind is None or wind.speed_m_s == 0.0:
         return
-    to = np.array(wind.velocity_m_s) / wind.speed_m_s
-    middle = np.array([x, top - 0.07])
+    east, north = (0.15 * part / wind.speed_m_s for part in wind.velocity_m_s)
     axes.annotate(
-        "", middle + 0.15 * to, middle - 0.15 * to,
+        "", (x + east, top - 0.07 + north), (x - east, top - 0.07 - north),
         arrowprops={"arrowstyle": "-|>", "color": style.INK, "linewidth": 1.6, "shrinkA": 0, "shrinkB": 0},
     )  # fmt: skip
     axes.text(x, top - 0.30, f"wind {wind.speed_m_s:g} m/s", fontsize=7, ha="center", va="center", color=style.INK)

@@ -68,9 +68,7 @@ def test_a_model_survives_a_file(drawn: tuple[Kind, MotionModel], between: str) 
 
 @given(models(), st.data())
 @settings(max_examples=200)
-def test_every_difference_is_found_and_no_other(
-    drawn: tuple[Kind, MotionModel], data: st.DataObject
-) -> None:
+def test_every_difference_is_found_and_no_other(drawn: tuple[Kind, MotionModel], data: st.DataObject) -> None:
     kind, model = drawn
     changed = data.draw(st.sampled_from([p for p in parameters(kind) if not p.sent and p.low < p.high]))
     value = data.draw(value_in(changed))

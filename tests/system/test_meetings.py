@@ -15,7 +15,7 @@ from missionplanner.scene import Scene
 from tests.main_job import fly
 from tests.scenes import at, copter, question, scene_of
 
-_HALF_S = 0.5  # between two positions of the recording, and its interpolation
+_NEAR_S = 1.0  # PX4 accepts a place 2 m before it, and may stop there; positions are recorded five times a second
 
 
 def passed_s(flown: FlownVehicle, place_m: np.ndarray) -> float:
@@ -41,7 +41,7 @@ def test_two_meet_twice_and_arrive_in_order(autopilots: tuple[str, str]) -> None
     scene, plan, flight = planned_and_flown(one, two, fleet=fleet)
     for number in (1, 2):
         times = [passed_s(v, task.route_m[number]) for v, task in zip(flight.vehicles, scene.tasks, strict=True)]
-        assert abs(times[0] - times[1]) <= _HALF_S
+        assert abs(times[0] - times[1]) <= _NEAR_S
     first, second = flight.vehicles
     assert first.arrival_s is not None
     assert second.arrival_s is not None

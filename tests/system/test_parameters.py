@@ -209,7 +209,9 @@ def test_a_vehicle_tuned_to_leave_its_legs_is_not_proven() -> None:
     assert planned_with() == []
     [told] = planned_with(WPNAV_ACCEL=150.0)
     assert told.startswith("is predicted at most 0.")
-    with pytest.raises(InfeasibleError, match=r"m off its legs with its speed and parameters, allowed 2 m: fly slower, or with"):
+    with pytest.raises(
+        InfeasibleError, match=r"off its legs with its speed and parameters, allowed 2 m: fly slower, or"
+    ):
         planned_with(PSC_POSXY_P=0.5, PSC_VELXY_P=0.5)
 
 

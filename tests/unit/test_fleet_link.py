@@ -162,7 +162,7 @@ def test_planes_end_in_a_circle(autopilot: Autopilot, end: Ending) -> None:
     )
     [flown] = fly(Rig(plan)).vehicles
     assert flown.arrival_s is not None
-    assert 60.0 <= flown.arrival_s <= 90.0
+    assert 50.0 <= flown.arrival_s <= 90.0
 
 
 def test_a_cold_vehicle_is_waited_for() -> None:
