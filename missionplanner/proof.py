@@ -12,9 +12,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from missionplanner import __version__, energy, returns, timing, wind
 from missionplanner.autopilot_parameters import usual
@@ -23,13 +25,14 @@ from missionplanner.clearance import TubeClearances, distance_to_legs_m, polylin
 from missionplanner.errors import InfeasibleError, MissionError
 from missionplanner.flight_check import COLUMN_M, nearest_pair
 from missionplanner.geodesy import FloatArray
-from missionplanner.motion import TICK_S
+from missionplanner.motion import TICK_S, climbing_as_stated
 from missionplanner.motion.spline import spline_chords
 from missionplanner.plan import Clearance, FleetPlan, Trajectory, VehiclePlan
 from missionplanner.returns import Returning
 from missionplanner.scene import RUNWAY_RISE_M, Scene, VehicleTask
 from missionplanner.sortie import Gap, Leg, Sortie
 from missionplanner.terrain_bounds import steepest
+from missionplanner.vehicle import MotionModel
 
 ARRIVAL_ERROR_MAX_S = 0.5
 """How far a predicted arrival may be from the common one."""
@@ -43,6 +46,8 @@ CHORD_ERROR_M = 0.04
 """Chords of 0.2 s of a predicted flight are at most so far off it at 4 m/s^2."""
 _ANGLE_SLACK_RAD = 1e-5
 _RECORDED_M_S = 10.5
+_JOINED_M, _JOINED_S = 1.0, 10.0  # two climb-outs are one again once they have stayed so near for so long
+_RUNG_M = 1.0
 _SPEED_SLACK_M_S = 1e-3  # single precision on the wire
 _LEVEL_M = 0.01
 _MEETING_M = 0.1  # a waypoint is at a place of the route as far as its wire format tells
@@ -219,20 +224,31 @@ def _clearance(finding: Finding) -> Clearance:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Tube:
-    """Pieces of one leg's tube: (N, 2, 3), how much wider than the vehicle's it is, and whether ground is asked for."""
+    """Pieces of one leg's tube: (N, 2, 3), how much wider than the vehicle's it is, and whether ground is asked for.
+
+    ``weaker``: where a plane flies that climbs out no better than stated, or, if it is so, any between the two.
+    """
 
     leg: Leg
     kind: str
     pieces: FloatArray
     wider_m: float
     over_terrain: bool
+    weaker: Literal["", "flown", "between"] = ""
 
 
 def _predicted(scene: Scene, task: VehicleTask, sortie: Sortie, until_s: float = 0.0) -> Flight:
+    trajectory, reached_s = _flown(scene, task.motion, sortie, until_s)
+    timed = not sortie.gaps and all(leg.kind in ("takeoff", "straight", "spline") for leg in sortie.legs)
+    return Flight(task, sortie, trajectory, reached_s, timed)
+
+
+def _flown(scene: Scene, motion: MotionModel, sortie: Sortie, until_s: float = 0.0) -> tuple[Trajectory, FloatArray]:
+    """Return what a vehicle that moves so is predicted to fly of a sortie, and when it reaches the ends of its legs."""
     last = sortie.legs[-1].end_m
     ground_m = float(scene.terrain.height_amsl_m(last[0], last[1]))
-    trajectory, reached_s = timing.predict_flight(
-        replace(task.motion, return_height_m=sortie.return_height_m),
+    return timing.predict_flight(
+        replace(motion, return_height_m=sortie.return_height_m),
         sortie.home_m,
         np.array([leg.end_m for leg in sortie.legs]),
         np.array([leg.speed_m_s for leg in sortie.legs[1:]] or [sortie.legs[0].speed_m_s]),
@@ -244,8 +260,6 @@ def _predicted(scene: Scene, task: VehicleTask, sortie: Sortie, until_s: float =
         start_delay_s=sortie.start_delay_s,
         until_s=until_s,
     )
-    timed = not sortie.gaps and all(leg.kind in ("takeoff", "straight", "spline") for leg in sortie.legs)
-    return Flight(task, sortie, trajectory, reached_s, timed)
 
 
 def _vehicle(scene: Scene, flight: Flight) -> tuple[list[Finding], list[LegVerdict]]:
@@ -260,7 +274,7 @@ def _vehicle(scene: Scene, flight: Flight) -> tuple[list[Finding], list[LegVerdi
         _understood(flight),
         *_heights(flight, tubes, owner, table, asked, pieces, wide),
         *_distances(scene, flight, tubes, owner, table),
-        *_takeoff(flight, tubes[0], table.height_min_m[owner == 0]),
+        *_takeoff(flight, tubes, owner, table),
         _angles(flight),
         _turns(flight),
         _speeds(flight),
@@ -274,7 +288,7 @@ def _vehicle(scene: Scene, flight: Flight) -> tuple[list[Finding], list[LegVerdi
 def _tubes(scene: Scene, flight: Flight) -> list[_Tube]:
     """Return the legs' tubes, take-off first, the ending last."""
     if flight.sortie.vehicle_class == "plane":
-        return _predicted_tubes(flight)
+        return _predicted_tubes(flight) + _weaker_tubes(scene, flight)
     sortie, tubes = flight.sortie, []
     begins = sortie.home_m[np.newaxis]  # where the next leg may begin: anywhere on a circle
     wider_m = 0.0  # what lies between those places
@@ -378,6 +392,78 @@ def _predicted_tubes(flight: Flight) -> list[_Tube]:
         flown = trajectory.position_m[chosen if len(chosen) > 1 else np.repeat(chosen, 2)]
         tubes.append(_Tube(leg, kind, polyline_legs(flown), CHORD_ERROR_M, over_terrain=kind != "takeoff"))
     return tubes
+
+
+def _weaker_tubes(scene: Scene, flight: Flight) -> list[_Tube]:
+    """Return where a plane flies that climbs out no better than stated, until it flies as predicted, and any between.
+
+    What its climb rate says is all that is known of a real one; predicted is a strong one. The height of any other is
+    between theirs as long as it climbs, and where they turn onto their way the weaker one turns last.
+    """
+    sortie, motion = flight.sortie, flight.task.motion
+    stated = climbing_as_stated(motion, float(sortie.home_m[2]))
+    if stated.plane == motion.plane:
+        return []
+    trajectory, reached_s = _flown(scene, stated, sortie)
+    strong, weak = flight.trajectory.position_m, trajectory.position_m
+    top = int(np.searchsorted(flight.trajectory.t_s, flight.reached_s[0]))
+    weak_top = int(np.searchsorted(trajectory.t_s, reached_s[0]))
+    end, weak_end = _joined(strong, top, weak, weak_top)
+    takeoff = sortie.legs[0]
+    after, kind = (sortie.legs[1], sortie.legs[1].kind) if len(sortie.legs) > 1 else (takeoff, sortie.ending)
+    if len(sortie.legs) == 1:
+        after = replace(takeoff, seq=sortie.ending_seq)
+    return [
+        _Tube(takeoff, "takeoff", polyline_legs(weak[: weak_top + 1]), CHORD_ERROR_M, False, "flown"),
+        _Tube(takeoff, "takeoff", *_above(weak[: weak_top + 1], strong[: top + 1]), False, "between"),
+        _Tube(after, kind, polyline_legs(weak[_every_chord(weak_top, weak_end)]), CHORD_ERROR_M, True, "flown"),
+        _Tube(after, kind, *_rungs(strong[top : end + 1], weak[weak_top : weak_end + 1]), True, "between"),
+    ]
+
+
+def _every_chord(first: int, last: int) -> npt.NDArray[np.int64]:
+    chosen = np.unique([*range(first, last, _CHORD_TICKS), last])
+    return chosen if len(chosen) > 1 else np.repeat(chosen, 2)
+
+
+def _joined(strong: FloatArray, top: int, weak: FloatArray, weak_top: int) -> tuple[int, int]:
+    """Return from which samples on the weaker flight is where the other is; their last where it never is."""
+    apart_m, _ = cKDTree(strong[top:]).query(weak[weak_top:])
+    for_long = round(_JOINED_S / TICK_S)
+    far = np.flatnonzero(apart_m > _JOINED_M)
+    begins = np.concatenate([[0], far + 1])
+    ends = np.concatenate([far, [len(apart_m)]])
+    together = np.flatnonzero(ends - begins >= for_long)
+    if not together.size:
+        return len(strong) - 1, len(weak) - 1
+    first = int(begins[together[0]])
+    near = np.linalg.norm(strong[top:] - weak[weak_top + first], axis=1) <= _JOINED_M
+    return top + int(np.argmax(near)), weak_top + first
+
+
+def _above(low: FloatArray, high: FloatArray) -> tuple[FloatArray, float]:
+    """Return upright legs (N, 2, 3) between two climbs on one course, and how far apart they are at most."""
+    out_m = np.hypot(*(low[:, :2] - low[0, :2]).T)
+    at_m = np.arange(0.0, out_m[-1], _RUNG_M)
+    foot = np.stack([np.interp(at_m, out_m, low[:, axis]) for axis in range(3)], axis=1)
+    head = foot.copy()
+    head[:, 2] = np.interp(at_m, np.hypot(*(high[:, :2] - high[0, :2]).T), high[:, 2])
+    apart = head[:, 2] - foot[:, 2] > _JOINED_M
+    return np.stack([foot, head], axis=1)[apart if apart.any() else slice(1)], 0.5 * _RUNG_M
+
+
+def _rungs(one: FloatArray, other: FloatArray) -> tuple[FloatArray, float]:
+    """Return legs (N, 2, 3) between equal shares of two ways, and how far what lies between is from them at most."""
+    run = [np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way, axis=0), axis=1))]) for way in (one, other)]
+    count = max(2, math.ceil(max(run[0][-1], run[1][-1]) / _RUNG_M) + 1)
+    share = np.linspace(0.0, 1.0, count)
+    ends = [
+        np.stack([np.interp(share * r[-1], r, way[:, axis]) for axis in range(3)], axis=1)
+        for r, way in zip(run, (one, other), strict=True)
+    ]
+    rungs = np.stack(ends, axis=1)
+    apart = np.linalg.norm(rungs[:, 1] - rungs[:, 0], axis=1) > _JOINED_M
+    return rungs[apart if apart.any() else slice(1)], 0.5 * _RUNG_M
 
 
 def _understood(flight: Flight) -> Finding:
@@ -507,15 +593,18 @@ def _distance(check: Check, to: str, flight: Flight, distance_m: float, tube: _T
     )
 
 
-def _takeoff(flight: Flight, tube: _Tube, height_min_m: FloatArray) -> list[Finding]:
+def _takeoff(flight: Flight, tubes: Sequence[_Tube], owner: FloatArray, table: TubeClearances) -> list[Finding]:
     """Return whether the ground falls behind while a plane climbs: its share of the climb, its share of the margin.
 
-    A copter climbs straight up from ground that one can land on.
+    So it must for one that climbs no better than stated. A copter climbs straight up from ground to land on.
     """
     sortie, limits = flight.sortie, flight.task.limits
     if sortie.vehicle_class != "plane":
         return []
-    climbed_m = tube.pieces[:, :, 2].max(axis=1) - sortie.home_m[2]
+    climbs = [k for k, tube in enumerate(tubes) if tube.kind == "takeoff" and tube.weaker != "between"]
+    pieces = np.concatenate([tubes[k].pieces for k in climbs])
+    height_min_m = np.concatenate([table.height_min_m[owner == k] for k in climbs])
+    climbed_m = pieces[:, :, 2].max(axis=1) - sortie.home_m[2]
     share = np.clip(climbed_m / max(float(sortie.legs[0].end_m[2] - sortie.home_m[2]), _LEVEL_M), 0.0, 1.0)
     need_m = share * (limits.terrain_margin_m + limits.tube_m) - limits.tube_m - RUNWAY_RISE_M
     worst = int(np.argmin(height_min_m - need_m))
@@ -531,11 +620,11 @@ def _takeoff(flight: Flight, tube: _Tube, height_min_m: FloatArray) -> list[Find
             else f"its climb lacks {lacks_m:.1f} m of height above the ground"
             if math.isfinite(lacks_m)
             else "the ground below its climb is not known",
-            "" if proven else "take off in another direction, or from elsewhere",
+            "" if proven else "take off in another direction or from elsewhere, or state a better climb.rate_m_s",
             float(height_min_m[worst]),
             float(need_m[worst]),
-            seq=tube.leg.seq,
-            position_m=_position(tube.pieces[worst, 0]),
+            seq=sortie.legs[0].seq,
+            position_m=_position(pieces[worst, 0]),
         )
     ]
 
@@ -571,7 +660,8 @@ def _turns(flight: Flight) -> Finding:
     """Return whether every corner can be flown with the turn radius, and turns no more than allowed (eqs 5 and 8).
 
     A corner is rounded by an arc tangent to both its legs that stays within what the tube allows for. A plane rounds it
-    as its autopilot banks, which its predicted flight shows and its tube is around: that radius is told.
+    as its autopilot banks, whatever the mission says; its predicted flight shows how, and its tube is around that. The
+    radius is told, and held to what the mission file states, if it does.
     """
     limits, sortie = flight.task.limits, flight.sortie
     corners_m = np.array([leg.end_m for leg in sortie.legs])
@@ -601,18 +691,29 @@ def _turns(flight: Flight) -> Finding:
             limits.turn_radius_m,
             seq=tight_seq,
         )
+    flown_m = _tightest_flown_m(flight) if sortie.vehicle_class == "plane" else math.inf
+    if flown_m < limits.flown_radius_min_m:
+        return Finding(
+            "turn",
+            sortie.name,
+            False,
+            f"flies turns with a radius of {flown_m:.1f} m, expected at least {limits.flown_radius_min_m:g} m",
+            "lower ROLL_LIMIT_DEG on the vehicle and in its parameters, put waypoints around the corner, or state a "
+            "smaller turn_radius_m",
+            flown_m,
+            limits.flown_radius_min_m,
+        )
     return Finding(
         "turn",
         sortie.name,
         True,
-        f"turns by at most {math.degrees(sharpest):.0f} degrees" + _radius_told(flight),
+        f"turns by at most {math.degrees(sharpest):.0f} degrees" + _radius_told(flight, flown_m),
         unit="",
     )
 
 
-def _radius_told(flight: Flight) -> str:
+def _radius_told(flight: Flight, flown_m: float) -> str:
     if flight.sortie.vehicle_class == "plane":
-        flown_m = _tightest_flown_m(flight)
         return f", flown with a radius of at least {flown_m:.0f} m" if math.isfinite(flown_m) else ""
     allowed_m = flight.task.limits.turn_radius_m
     return f", with a radius of at least {allowed_m:g} m" if allowed_m > 0.0 else ""
@@ -817,13 +918,18 @@ def _verdicts(
 ) -> list[LegVerdict]:
     limits = flight.task.limits
     verdicts = []
-    for index, tube in enumerate(tubes):
-        own = np.flatnonzero(owner == index)
+    for tube in (tube for tube in tubes if not tube.weaker):
+        same = [
+            k
+            for k, t in enumerate(tubes)
+            if t is tube or (t.weaker and (t.leg.seq, t.kind) == (tube.leg.seq, tube.kind))
+        ]
+        own = np.flatnonzero(np.isin(owner, same))
         near = own[int(np.argmin(table.obstacle_m[own]))]
         terrain_m = float(table.height_min_m[own].min()) if asked[own[0]] else None
         obstacle_m = float(table.obstacle_m[near])
         highest_m = float(table.height_max_m[own].max())
-        top_m = float(tube.pieces[:, :, 2].max()) + limits.tube_m + tube.wider_m
+        top_m = max(float(tubes[k].pieces[:, :, 2].max()) + tubes[k].wider_m for k in same) + limits.tube_m
         fence_m = float(table.fence_m[own].min())
         proven = (
             (terrain_m is None or (terrain_m >= limits.terrain_margin_m and highest_m <= limits.height_agl_max_m))
@@ -1096,16 +1202,18 @@ def worst_conflict(scene: Scene, plan: FleetPlan) -> Conflict | None:
         need_m = required_m(pair.first, pair.second)
         return Conflict(pair.first, pair.second, names, pair.distance_m, need_m, pair.t_s, late_s)
 
-    pairs = timing.least_separation(trajectories)
-    found = [conflict(pair) for pair in pairs if pair.distance_m < required_m(pair.first, pair.second)]
+    nearest = timing.tightest_pair(trajectories, required_m)
+    if nearest is None:
+        return None
+    if nearest.distance_m < required_m(nearest.first, nearest.second):
+        return conflict(nearest)
     late_s = scene.mission.fleet.lateness_s
-    if not found and late_s > 0.0:
-        slack_s = {
-            (slack.first, slack.second): slack.slack_s
-            for slack in timing.least_slack(trajectories, required_m, max(late_s, LATENESS_LIMIT_S))
-        }
-        found = [conflict(pair, late_s) for pair in pairs if slack_s[pair.first, pair.second] < late_s]
-    return min(found, key=lambda c: c.distance_m - c.required_m, default=None)
+    if late_s > 0.0:
+        least = timing.least_slack(trajectories, required_m, max(late_s, LATENESS_LIMIT_S))[0]
+        if least.slack_s < late_s:
+            (pair,) = timing.least_separation([trajectories[least.first], trajectories[least.second]])
+            return conflict(replace(pair, first=least.first, second=least.second), late_s)
+    return None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,17 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from missionplanner.errors import InfeasibleError
 from missionplanner.plan import Trajectory
-from missionplanner.timing import (
-    arrival_after,
-    arrival_window,
-    common_arrival,
-    lateness_slack,
-    least_separation,
-    least_slack,
-    speed_for_arrival,
-)
+from missionplanner.schedule import solve_speed
+from missionplanner.timing import lateness_slack, least_separation, least_slack, reached_times
 from missionplanner.vehicle import MotionModel
 
 COPTER = MotionModel("ardupilot", "copter", 2.5, 1.0, 2.5, 1.5, 2.0, 0.0)
@@ -147,23 +139,9 @@ def test_a_solved_speed_meets_its_time(seed: int, share: float, spread_m: float)
     rng = np.random.default_rng(seed)
     waypoints = np.cumsum(rng.normal(0.0, spread_m, (6, 3)) * [1, 1, 0.1], axis=0) + np.array([0, 0, 60])
     home = waypoints[0] - [0, 0, 30]
-    fastest_s, slowest_s = arrival_window(COPTER, home, waypoints, 2.0, 10.0)
-    wanted_s = fastest_s + share * (slowest_s - fastest_s)
-    speed = speed_for_arrival(COPTER, home, waypoints, wanted_s, 2.0, 10.0)
-    assert abs(arrival_after(COPTER, home, waypoints, speed) - wanted_s) <= 0.05
 
+    def arrives_s(speed_m_s: float) -> float:
+        return float(reached_times(COPTER, home, waypoints, speed_m_s)[-1])
 
-@given(
-    windows=st.lists(st.tuples(st.floats(1, 1e3), st.floats(0, 1e3), st.floats(0, 100)), min_size=1, max_size=6),
-)
-def test_common_arrival_lies_in_every_window(windows: list[tuple[float, float, float]]) -> None:
-    by_name = {f"v{k}": (fast, fast + more) for k, (fast, more, _) in enumerate(windows)}
-    delay = {f"v{k}": d for k, (_, _, d) in enumerate(windows)}
-    try:
-        arrival_s = common_arrival(by_name, delay)
-    except InfeasibleError:
-        earliest = max(fast + delay[name] for name, (fast, _) in by_name.items())
-        assert earliest > min(slow + delay[name] for name, (_, slow) in by_name.items())
-        return
-    for name, (fast, slow) in by_name.items():
-        assert fast + delay[name] <= arrival_s <= slow + delay[name]
+    wanted_s = arrives_s(10.0) + share * (arrives_s(2.0) - arrives_s(10.0))
+    assert abs(arrives_s(solve_speed(lambda v: arrives_s(v) - wanted_s, 2.0, 10.0)) - wanted_s) <= 0.05
