@@ -6,8 +6,10 @@ A copter that is told to return (by hand, low battery, lost link) brakes, climbs
   v^2 / 2a + a / 2p^2 ahead (sqrt controller, p = PSC_POSXY_P = 1 / s; v / p when slow); PX4 brakes with limited jerk,
   v^2 / 2a + v a / 2j, once its present acceleration is gone, and may fly back to where it was told. Both are within
   v^2 / 2a + v max(1 s, a / 2j), where v is what it flies plus what its present acceleration still adds. What that adds
-  to the sides widens the place. Climb and descent go on as ArduCopter's, with b = 1 m/s^2 (WPNAV_ACCEL_Z) for a;
-  PX4 brakes harder.
+  to the sides widens the place. PX4's trajectory is ahead of the vehicle, up to 2.7 m/s faster while it gains speed:
+  wherever it moves it may have to brake from all that is commanded. Parameters that make a copter lean or answer more
+  slowly than the default ones lengthen the 1 s, and it is as much further off when it sets out for home. Climb and
+  descent go on as ArduCopter's, with b = 1 m/s^2 (WPNAV_ACCEL_Z) for a; PX4 brakes harder.
 - Whoever climbs and is to climb further keeps three quarters of its rate while it brakes (PX4 all of it).
 - It may climb all along, so the climb is anywhere above that way, up to the greater of its altitude and the return
   height; so high it flies home from anywhere above it. The ways home from a piece of the flight fill a triangle.
@@ -15,10 +17,9 @@ A copter that is told to return (by hand, low battery, lost link) brakes, climbs
 
 A plane turns towards home, at any altitude between its own and the return height, within two turn radii of the way.
 
-In wind, a copter brakes with what is left of its lean limit when the strongest wind allowed for pushes it on; where
-PX4 may be slower than commanded, its trajectory brakes from the speed commanded all the same. On its way home it is off
-by what the wind it is planned with pushes it aside at most, whatever its course. A plane is carried with the strongest
-wind for as long as it takes to turn once around.
+In wind, a copter brakes with what is left of its lean limit when the strongest wind allowed for pushes it on. On its
+way home it is off by what the wind it is planned with pushes it aside at most, whatever its course. A plane is carried
+with the strongest wind for as long as it takes to turn once around.
 
 Pieces of the flight form trees; each node is a segment that all stopping ways of its piece are within a stated reach
 of. Nodes are looked into until decided: nothing is sampled.
@@ -53,14 +54,21 @@ from missionplanner.kernels import (
 from missionplanner.plan import Trajectory
 from missionplanner.terrain_bounds import Pyramid, least_height
 from missionplanner.vehicle import MotionModel, VehicleLimits
-from missionplanner.wind import braking_m_s2, falls_behind, pushed_off_m, turn_drift_m
+from missionplanner.wind import braking_m_s2, pushed_off_m, turn_drift_m
 
 _TICK_S = 0.1
-_LEAN_S = 0.3  # for which ArduCopter still accelerates as before
+_LEAN_S = 0.3  # for which ArduCopter still accelerates as before, with its default parameters
 _CLIMB_KEPT = 0.75
 """ArduCopter climbs anew from its stopping point while it still brakes to that: 0.8 remain at WPNAV_JERK = 1 m/s^3."""
 
 _SLOW_M_S = 0.3  # no direction is made of less
+_PX4_UNSEEN_M_S = 1.2
+"""What PX4's trajectory gains to the side or backwards at most, by default, while it loses an acceleration.
+
+Of what the vehicle does not show yet: the room for straying has been found to cover so much, and no more.
+"""
+
+_STARTING_M_S2 = 0.3  # who gains speed so fast has a target that is on its way
 _LEVEL_M = 1.0
 """How far below its return height a copter may turn home: NAV_MC_ALT_RAD is 0.8 m."""
 
@@ -220,9 +228,7 @@ def _track(v: Returning, ticks: int) -> _Track:
             state[t > end_s] = _LANDED
         # as it is predicted: what is snapped to its home or landing place jumps there
         flown = v.trajectory.at(t)
-        target_m_s = v.commanded_m_s if falls_behind(v.motion, v.commanded_m_s) else 0.0
-        brakes_m_s2 = braking_m_s2(v.motion, v.limits.wind_max_m_s)
-        stop, swing, drop, rise, lift = _stopping(v.motion, flown, brakes_m_s2, target_m_s)
+        stop, swing, drop, rise, lift = stopping_region(v, flown)
         swing = swing + np.hypot(*(flown[:, :2] - p[:, :2]).T)
         low, high = p[:, 2] - drop, p[:, 2] + rise
     floor = np.where(before | after, math.inf, low)
@@ -238,13 +244,13 @@ def _track(v: Returning, ticks: int) -> _Track:
     )
 
 
-def _stopping(
-    motion: MotionModel, p: FloatArray, brakes_m_s2: float, target_m_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return what a flight (K, 3) has ahead at each instant when it brakes so hard, and its target from such a speed.
+def stopping_region(v: Returning, p: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return what a copter's flight (K, 3), sampled every tick, has ahead at each instant when told to return.
 
     Farthest stopping points (K, 2), how far to their sides, how far it drops and rises, how much it has climbed there.
     """
+    motion = v.motion
+    brakes_m_s2 = braking_m_s2(motion, v.limits.wind_max_m_s)
     step = np.diff(p, axis=0) / _TICK_S
     behind, ahead = np.concatenate([step[:1], step]), np.concatenate([step, step[-1:]])
     velocity = 0.5 * (behind + ahead)[:, :2]
@@ -257,22 +263,38 @@ def _stopping(
     along = np.maximum(np.einsum("nk,nk->n", gain, heading), 0.0)
     across = np.abs(gain[:, 0] * heading[:, 1] - gain[:, 1] * heading[:, 0])
     a, jerk = motion.acceleration_m_s2, motion.jerk_m_s3
-    lag_s = max(motion.settling_s, a / (2.0 * jerk))
+    lag_s, lean_s = max(motion.settling_s, a / (2.0 * jerk)), _LEAN_S + motion.sluggish_s
     along, across = np.minimum(along, 2.0 * a), np.minimum(across, 2.0 * a)  # corners take twice as much
     if motion.autopilot == "px4":
         distance = stopping_m(speed + along**2 / (2.0 * jerk), brakes_m_s2, lag_s) + speed * along / jerk
-        sideways = across**2 / (2.0 * jerk)
+        moves = (speed > _SLOW_M_S) | (np.hypot(*gain.T) > _STARTING_M_S2)
+        distance = np.maximum(distance, np.where(moves, _target_stopping_m(v.commanded_m_s, a, jerk, lag_s), 0.0))
+        unseen_m_s = min(max(0.0, a**2 / (2.0 * jerk) - _PX4_UNSEEN_M_S), v.commanded_m_s)
+        sideways = across**2 / (2.0 * jerk) + np.where(moves, unseen_m_s, 0.0)
     else:
-        distance = stopping_m(speed + _LEAN_S * along, brakes_m_s2, lag_s)
-        sideways = _LEAN_S * across
-    distance = np.maximum(distance, stopping_m(np.full_like(speed, target_m_s), a, lag_s))
+        distance = stopping_m(speed + lean_s * along, brakes_m_s2, lag_s)
+        sideways = lean_s * across
     swing = sideways * (0.5 * speed / brakes_m_s2 + lag_s)
+    swing = swing + 0.5 * motion.sluggish_s * speed  # it sets out for home before it is at rest
     swing = np.where(slow, swing + stopping_m(speed, brakes_m_s2, lag_s), swing)
     stop = p[:, :2] + distance[:, np.newaxis] * heading
     climb = np.maximum(behind[:, 2], ahead[:, 2])
     sink = np.minimum(behind[:, 2], ahead[:, 2])
     lift = _CLIMB_KEPT * np.maximum(sink, 0.0) / np.maximum(speed, _SLOW_M_S) * np.where(slow, 0.0, distance)
     return stop, swing, _overrun_m(motion, np.maximum(-sink, 0.0)), _overrun_m(motion, np.maximum(climb, 0.0)), lift
+
+
+def _target_stopping_m(commanded_m_s: float, a_m_s2: float, jerk_m_s3: float, lag_s: float) -> float:
+    """Return how far ahead PX4's trajectory comes to rest at most, which may be faster than the vehicle behind it.
+
+    The worst is told to return while it gains speed: a it loses in a / j, gains a^2 / 2j meanwhile, up to what is
+    commanded, and has gone v a / j - a^3 / 6j^2 for v commanded.
+    """
+    gains = min(a_m_s2, math.sqrt(2.0 * commanded_m_s * jerk_m_s3))
+    going_m = commanded_m_s * gains / jerk_m_s3 - gains**3 / (6.0 * jerk_m_s3**2)
+    braking_m = commanded_m_s * (commanded_m_s / (2.0 * a_m_s2) + a_m_s2 / (2.0 * jerk_m_s3))
+    settled_m = commanded_m_s * (commanded_m_s / (2.0 * a_m_s2) + lag_s)
+    return max(going_m + braking_m, settled_m)
 
 
 def stopping_m(speed_m_s: FloatArray, acceleration_m_s2: float, lag_s: float) -> FloatArray:

@@ -148,8 +148,19 @@ class MotionModel:
         if self.vehicle_class == "plane":
             return 1.0
         if self.autopilot == "ardupilot":
-            return max(1.0, 1.0 / self.arducopter.position_gain, 1.0 / self.arducopter.vertical_gains[0])
-        return max(1.0, 0.95 / self.px4.position_gain, 1.0 / self.px4.vertical_position_gain)  # at the defaults: 1
+            loop_s = max(1.0, 1.0 / self.arducopter.position_gain, 1.0 / self.arducopter.vertical_gains[0])
+        else:
+            loop_s = max(1.0, 0.95 / self.px4.position_gain, 1.0 / self.px4.vertical_position_gain)
+        return loop_s + self.sluggish_s  # at the defaults: 1
+
+    @property
+    def sluggish_s(self) -> float:
+        """How much later than with the default parameters a copter accelerates as it should."""
+        if self.autopilot == "px4":
+            return max(0.0, 1.0 / self.px4.velocity_gains[0] - 1.0 / Px4Tuning().velocity_gains[0])
+        own, usual = self.arducopter, ArducopterTuning()
+        leaning_s = max(0.0, own.input_time_s - usual.input_time_s)
+        return leaning_s + max(0.0, 1.0 / own.velocity_gains[0] - 1.0 / usual.velocity_gains[0])
 
     @property
     def vertical_acceleration_m_s2(self) -> float:
