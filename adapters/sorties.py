@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -133,6 +134,7 @@ _CIRCLE_RADIUS_M = 10.0  # CIRCLE_RADIUS
 _CIRCLE_RATE_RAD_S = math.radians(20.0)  # CIRCLE_RATE
 _STORED_RADIUS_M = 255.0  # what one byte holds
 _STORED_SECONDS = 65_535.0
+_DAY_S = 86_400.0  # nobody waits, or flies, for longer
 _BRIEF_STOP_S = 1e-3  # a stop that the mission gives no time
 _SAME_PLACE_M = 0.01  # 1e-7 degrees
 _HOME_TOLERANCE_M = 10.0  # between what is said of home here and there: GPS, rounded files
@@ -195,6 +197,7 @@ def read_sortie(
     reader.read(items[1:] if autopilot == "ardupilot" else items)
     if not reader.legs:
         raise MissionError(f"{name}: expected at least one waypoint, got none in {len(items)} items")
+    _check_duration(reader.legs, name)
     return Sortie(
         name=name,
         sysid=sysid,
@@ -335,6 +338,18 @@ def _home(
     return home, gaps, notes
 
 
+def _check_duration(legs: Sequence[Leg], name: str) -> None:
+    """Refuse what takes longer to fly than anybody flies, before it takes as long to predict."""
+    flown_s = 0.0
+    for before, leg in pairwise(legs):
+        flown_s += float(np.linalg.norm(leg.end_m - before.end_m)) / leg.speed_m_s
+        if not flown_s <= _DAY_S:
+            raise MissionError(
+                f"{name}: item {leg.seq}: expected to be flown within a day, got {flown_s / 3600.0:.3g} hours at the "
+                f"speeds that are set ({leg.speed_m_s:g} m/s there): correct the DO_CHANGE_SPEED before it"
+            )
+
+
 def _where(item: MissionItem, name: str) -> str:
     return f"{name}: item {item.seq} ({command_name(item.command)})"
 
@@ -388,6 +403,7 @@ class _Reader:
         self.ground = ground
         self.here_m = home_m
         self.wait_s = 0.0  # on the ground
+        self.waits_s = 0.0  # all holds and waits so far
         self.delayed = False  # whether DO commands wait for a condition
         self.datums: dict[str, int] = {}  # the first item in each
         self.legs: list[Leg] = []
@@ -585,11 +601,19 @@ class _Reader:
             if math.isinf(seconds):
                 self._gap(item, "is held for ever")
                 return 0.0
-            return 0.0 if math.isnan(seconds) else max(seconds, 0.0)
+            return 0.0 if math.isnan(seconds) else self._waits(item, max(seconds, 0.0))
         if not 0.0 <= seconds <= _STORED_SECONDS:
             self._gap(item, f"ArduPilot cannot hold it for {seconds:g} s")
             return 0.0
-        return float(int(seconds))
+        return self._waits(item, float(int(seconds)))
+
+    def _waits(self, item: MissionItem, seconds: float) -> float:
+        """Return how long an item lets the vehicle wait, no time where all waits come to more than a day."""
+        if self.waits_s + seconds > _DAY_S:
+            self._gap(item, f"a wait of {seconds:g} s: all waits of a mission must take less than a day")
+            return 0.0
+        self.waits_s += seconds
+        return seconds
 
     def _loiter(self, item: MissionItem) -> None:
         center_m = self._position(item)
@@ -699,12 +723,13 @@ class _Reader:
                 self._gap(item, "until an hour of the day: its times are not known")
             return
         if not self.legs:
-            self.wait_s += seconds
+            self.wait_s += self._waits(item, seconds)
             return
         if self.plane:
             if not self.ardupilot:
                 self._gap(item, "how a plane of PX4 waits is not known")
             return
+        seconds = self._waits(item, seconds)
         last = self.legs[-1]
         if self._rolling_spline():
             self._gap(item, "how the spline before it ends is not known")

@@ -81,9 +81,9 @@ class Comparison:
             "sysid": held.sysid,
             "autopilot": held.autopilot,
             "class": held.vehicle_class,
-            "parameters": {name: value if math.isfinite(value) else None for name, value in values.items()},
+            "parameters": {name: _finite(value) for name, value in values.items()},
             "sets": {name: meaning for name, value in values.items() if (meaning := _meaning(kind, name, value))},
-            "differences": [asdict(difference) for difference in self.differences],
+            "differences": [{**asdict(found), "held": _finite(found.held)} for found in self.differences],
             "missing": [*self.unheld, *self.absent],
         }
 
@@ -106,6 +106,11 @@ def compared(vehicle: str, model: MotionModel, values: Mapping[str, ParameterVal
             )
     found = differences(kind, model, {name: held.value for name, held in values.items()})
     return Comparison(vehicle, found, tuple(unheld), tuple(absent))
+
+
+def _finite(value: float) -> float | None:
+    """Return a value as JSON can tell it, which knows neither NaN nor infinity."""
+    return value if math.isfinite(value) else None
 
 
 def _meaning(kind: Kind, name: str, value: float) -> str:

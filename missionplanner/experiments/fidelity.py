@@ -341,13 +341,21 @@ def compare(recording: Recording) -> Comparison:
     if last is None or arrival_s is None:
         raise MissionError(f"{recording.name}: expected a waypoint that is reached before the mission's end, got none")
     climbed_s, climb_due_s = recording.climbed_s, due_s.get(flight.sortie.legs[0].seq)
+    started_s = max(0.0, climbed_s or 0.0)
     t_s, position_m = recording.t_s, recording.position_m
     until = (t_s >= 0.0) & (t_s <= arrival_s)
+    if arrival_s <= started_s or not until.any():
+        raise MissionError(
+            f"{recording.name}: expected positions after 0 s and a last waypoint (item {last}) that is reached after "
+            f"the take-off's end at {started_s:g} s, got one reached at {arrival_s:g} s and {until.sum()} positions "
+            "until then"
+        )
     climb_error_s = after_p95_m = None
     if climbed_s is not None and climb_due_s is not None:
         climb_error_s = climb_due_s - climbed_s
         away = until & (t_s >= climbed_s)
-        after_p95_m = _p95_m(flight.trajectory, position_m[away], t_s[away] + climb_error_s)
+        if away.any():
+            after_p95_m = _p95_m(flight.trajectory, position_m[away], t_s[away] + climb_error_s)
     end_s = min(float(t_s[-1]), float(flight.trajectory.t_s[-1]))
     whole = (t_s >= 0.0) & (t_s <= max(end_s, arrival_s))
     return Comparison(
@@ -369,7 +377,7 @@ def compare(recording: Recording) -> Comparison:
 
 def _p95_m(predicted: Trajectory, position_m: FloatArray, t_s: FloatArray) -> float:
     off_m = np.linalg.norm(predicted.at(t_s) - position_m, axis=1)
-    return float(np.percentile(off_m, 95)) if off_m.size else math.nan
+    return float(np.percentile(off_m, 95))
 
 
 def _path_until(predicted: Trajectory, arrival_s: float) -> FloatArray:

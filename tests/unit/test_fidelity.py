@@ -174,6 +174,39 @@ def test_a_damaged_flight_is_told_and_the_others_are_read(
     assert f"- one: {reason}" in (tmp_path / "out" / "results.md").read_text()
 
 
+@pytest.mark.parametrize("at_s", [0.0, -5.0, None])
+@pytest.mark.parametrize(("kind", "rows"), KINDS)
+def test_who_arrives_before_it_has_climbed_is_told(
+    tmp_path: Path, kind: Kind, rows: list[Row], at_s: float | None
+) -> None:
+    """All reports at 0 or before, or (None) all at the end of the take-off."""
+    record(tmp_path, "good", kind, rows)
+    record(tmp_path, "one", kind, rows)
+    when_s = compared(tmp_path).recording.climbed_s if at_s is None else at_s
+
+    def change(by_seq: dict[int, dict[str, Any]]) -> None:
+        for wp in by_seq.values():
+            wp["t_reached"] = when_s
+
+    _edit(tmp_path / "one.json", change)
+    with pytest.raises(MissionError, match="reached after the take-off's end"):
+        compared(tmp_path)
+    results = fidelity.run(tmp_path / "out", tmp_path)
+    assert [flight.recording.name for flight in results.flights] == ["good"]
+    assert [name for name, _ in results.unreadable] == ["one"]
+
+
+def test_a_recording_that_begins_after_the_arrival_is_told(tmp_path: Path) -> None:
+    record(tmp_path, "one", "arducopter", legs())
+    lines = gzip.decompress((tmp_path / "one.csv.gz").read_bytes()).decode().splitlines()
+    late = [row.split(",") for row in lines[1:]]
+    at = lines[0].split(",").index("t")
+    rows = [",".join([*row[:at], str(float(row[at]) + 1000.0), *row[at + 1 :]]) for row in late]
+    (tmp_path / "one.csv.gz").write_bytes(gzip.compress("\n".join([lines[0], *rows]).encode()))
+    with pytest.raises(MissionError, match="and 0 positions until then"):
+        compared(tmp_path)
+
+
 def test_a_folder_without_flights_is_refused(tmp_path: Path) -> None:
     with pytest.raises(MissionError, match=r"expected recorded flights .* found none"):
         find_recordings(tmp_path)

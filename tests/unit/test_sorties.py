@@ -319,6 +319,42 @@ def test_from_its_circle_arducopter_flies_to_the_middle() -> None:
     assert "wherever on its circle" in _copter(A, circle, _item(16, at=False), RTL).gaps[0].what
 
 
+@pytest.mark.parametrize("seconds", [86_401.0, 1e9, 1e38])
+def test_who_waits_for_more_than_a_day_is_not_followed(seconds: float) -> None:
+    waits = {
+        "PX4 waypoint": _px4(replace(A, param1=seconds), B, RTL),
+        "PX4 loiter": _px4(_item(19, 100.0, 0.0, 1240.0, param1=seconds), B, RTL),
+        "PX4 delay": _px4(A, MissionItem(0, 2, 93, seconds), B, RTL),
+        "delay in flight": _copter(A, MissionItem(0, 2, 93, seconds), B, RTL),
+        "delay before": _read(HOME_ROW, MissionItem(0, 2, 93, seconds), UP, A, RTL),
+        "PX4 plane": _read(
+            _item(22, 300.0, 0.0, 1260.0),
+            _item(19, 100.0, 0.0, 1240.0, param1=seconds, param3=80.0),
+            RTL,
+            autopilot="px4",
+            vehicle_class="plane",
+        ),
+    }
+    for where, sortie in waits.items():
+        assert any("must take less than a day" in gap.what for gap in sortie.gaps), where
+        assert sum(leg.hold_s for leg in sortie.legs) + sortie.start_delay_s < 1.0, where
+
+
+@pytest.mark.parametrize("speed_m_s", [5e-4, 1e-6, 1e-38])
+def test_who_flies_for_more_than_a_day_is_refused(speed_m_s: float) -> None:
+    with pytest.raises(MissionError, match=r"uav1: item 3: expected to be flown within a day, got .* hours"):
+        _px4(A, _speed(speed_m_s), B, RTL)
+    assert _px4(A, _speed(0.01), B, RTL).gaps == ()  # 80 m
+
+
+def test_waits_of_a_day_in_all_are_followed() -> None:
+    most = _px4(replace(A, param1=86_000.0), replace(B, param1=400.0), RTL)
+    assert most.gaps == ()
+    assert [leg.hold_s for leg in most.legs][1:] == [86_000.0, 400.0]
+    more = _px4(replace(A, param1=86_000.0), replace(B, param1=401.0), RTL)
+    assert [gap.seq for gap in more.gaps] == [2]
+
+
 def test_planes_circle() -> None:
     own = _plane(A, _item(17, 100.0, 0.0, 1240.0, param3=60.0))
     assert [leg.kind for leg in own.legs] == ["takeoff", "straight"]  # what every loiter at the end is

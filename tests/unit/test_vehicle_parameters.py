@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from adapters.endpoint import Endpoint, in_process_pair
 from adapters.mission_protocol import Party
 from adapters.parameter_protocol import ParameterList, ParametersRead, ParameterValue, parameter_name
-from adapters.vehicle_parameters import check_parameters, compared, read_parameters
+from adapters.vehicle_parameters import HeldParameters, check_parameters, compared, read_parameters
 from missionplanner.autopilot_parameters import Kind, held, parameters, with_values
 from missionplanner.errors import LinkError
 from missionplanner.geodesy import GeoPoint
@@ -21,6 +23,7 @@ from missionplanner.vehicle import Autopilot, motion_model
 from sim.fleet import LockstepClock, SimFleet, SimVehicle, sim_vehicles
 from tests.plans import fleet_plan, small_fleet, vehicle_plan
 from tests.rig import Rig
+from tests.scenes import question
 
 REAL32 = int(mavlink.MAV_PARAM_TYPE_REAL32)
 PARTY = Party("uav3", 3)
@@ -292,3 +295,15 @@ def test_what_is_lost_of_a_stream_is_asked_for_by_index() -> None:
     read.poll(4.0)
     with pytest.raises(LinkError, match="expected all its parameters, got 37 of 40: the link is bad"):
         read.poll(20.0)
+
+
+def test_what_is_no_number_is_null_to_machines() -> None:
+    asked = parse_mission(json.dumps(question()), "mission")
+    values = {"WPNAV_ACCEL": math.nan, "WPNAV_SPEED": math.inf, "WPNAV_RADIUS": 200.0}
+    held_now = HeldParameters(
+        1, "ardupilot", "copter", {name: ParameterValue(name, value, REAL32) for name, value in values.items()}
+    )
+    [found] = check_parameters([held_now], asked)
+    document = json.loads(json.dumps(found.as_json(held_now), allow_nan=False))
+    assert document["parameters"] == {"WPNAV_ACCEL": None, "WPNAV_SPEED": None, "WPNAV_RADIUS": 200.0}
+    assert {d["name"]: d["held"] for d in document["differences"]} == {"WPNAV_ACCEL": None, "WPNAV_SPEED": None}
