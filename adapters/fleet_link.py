@@ -98,6 +98,8 @@ _TEXT_FOR_S = 30.0  # a vehicle repeats what keeps it from arming
 _FLYING_S = 5.0  # from MISSION_START to being seen in its mission
 _START_RETRY_S = 0.25
 _ARM_S = 8.0  # an armed copter left idle disarms after 10 s
+_LOOK_AGAIN_S = 20.0  # before a start by the clock
+_LATE_MAX_S = 1.0  # after it
 _ARM_EARLY_S = 4.0  # before a delayed start
 _LOST_S = 60.0
 _RETURNED_M = 90.0  # beyond its circle, within which a plane has come home
@@ -279,10 +281,19 @@ class FleetLink:
                 "armed; ask for a later arrival"
             )
         first = {k: v for k, v in self._vehicles.items() if v.plan.start_delay_s <= 0.0}
+        if at_s is not None:  # what was checked then may not hold any more
+            self._wait_until(at_s - _LOOK_AGAIN_S)
+            left_s = max(at_s - self._clock.now_s(), 0.0)
+            self._station.together(
+                {sysid: self._preparing(vehicle, left_s, progress) for sysid, vehicle in self._vehicles.items()},
+                after_failure="nothing was armed",
+            )
+            self._wait_until(at_s - _ARM_EARLY_S)
         try:
-            self._wait_until(None if at_s is None else at_s - _ARM_EARLY_S)
             self._station.together({sysid: self._arming(vehicle) for sysid, vehicle in first.items()})
             self._wait_until(at_s)
+            if at_s is not None and (late_s := self._clock.now_s() - at_s) > _LATE_MAX_S:
+                raise LinkError(f"all were armed {late_s:.1f} s after the start for fleet.arrival_utc")
         except LinkError as error:
             raise LinkError(f"{error}; {self._stand_down()}") from error
         self._start_s = self._clock.now_s()

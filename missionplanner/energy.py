@@ -256,7 +256,7 @@ def _wind_told(model: EnergyModel, wind_m_s: float) -> str:
 
 
 def _against_the_wind(model: EnergyModel, sortie: Sortie, wind_m_s: float) -> Finding:
-    leg = max(sortie.legs, key=lambda leg: leg.speed_m_s)
+    leg = max(sortie.legs[1:] or sortie.legs, key=lambda leg: leg.speed_m_s)
     held = bool(can_fly(model, leg.speed_m_s, wind_m_s))
     need_m_s = leg.speed_m_s + wind_m_s
     return Finding(

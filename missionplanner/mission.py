@@ -27,6 +27,8 @@ from missionplanner.parameter_files import read_parameters
 Number = Annotated[float, Strict()]
 Positive = Annotated[float, Strict(), Field(gt=0)]
 NonNegative = Annotated[float, Strict(), Field(ge=0)]
+_DAY_S = 86_400.0
+UpToADay = Annotated[float, Strict(), Field(ge=0, le=_DAY_S)]
 Latitude = Annotated[float, Strict(), Field(ge=-84, le=84)]
 Longitude = Annotated[float, Strict(), Field(ge=-180, le=180)]
 Angle = Annotated[float, Strict(), Field(gt=0, lt=90)]
@@ -408,11 +410,20 @@ class Rendezvous(Model):
     """Places of several vehicles' routes that they reach at the same time."""
 
     name: Name
-    at: dict[Name, Annotated[int, Strict(), Field(ge=0)] | Name] = Field(
+    at: dict[Name, int | str] = Field(
         min_length=2,
         description="per vehicle: a tower it inspects, or a number: 0 its start (the top of its take-off where it has "
         "none), 1, 2, ... its stops and towers in order",
     )
+
+    @field_validator("at", mode="before")
+    @classmethod
+    def _numbers_or_names(cls, at: Any) -> Any:
+        for name, place in at.items() if isinstance(at, dict) else ():
+            number = isinstance(place, int) and not isinstance(place, bool) and place >= 0
+            if not number and not isinstance(place, str):
+                raise ValueError(f"{name}: expected a number (0, 1, ...) or the name of a tower, got {_shown(place)}")
+        return at
 
 
 class Fleet(Model):
@@ -423,20 +434,22 @@ class Fleet(Model):
     arrival: Literal["earliest", "least_energy"] = Field(
         "earliest", description="as soon as the slowest can, or everybody at the speed that takes least of its battery"
     )
-    arrival_time_s: Positive | None = Field(None, description="common arrival, after mission start")
+    arrival_time_s: Annotated[float, Strict(), Field(gt=0, le=_DAY_S)] | None = Field(
+        None, description="common arrival, after mission start"
+    )
     arrival_utc: str | None = Field(
         None,
         description="common arrival by the clock, e.g. 2026-12-24T10:30:00Z; the mission starts that much before",
         json_schema_extra={"format": "date-time"},
     )
     arrival_order: tuple[Name, ...] = Field((), description="all vehicles, in the order in which they arrive")
-    arrival_spacing_s: NonNegative = Field(0.0, description="how long after the one before it each arrives, in order")
+    arrival_spacing_s: UpToADay = Field(0.0, description="how long after the one before it each arrives, in order")
     rendezvous: tuple[Rendezvous, ...] = Field((), description="in the order in which they are flown")
     lose_time_by: Literal["start_later", "detour"] = Field(
         "start_later", description="how those get later who would be too early even at their least speed"
     )
-    launch_interval_s: NonNegative = Field(0.0, description="vehicle i starts at least i times this later")
-    lateness_s: NonNegative = Field(
+    launch_interval_s: UpToADay = Field(0.0, description="vehicle i starts at least i times this later")
+    lateness_s: UpToADay = Field(
         0.0, description="all keep apart also when any one of them is up to this much early or late"
     )
     correction: Literal["off", "speed", "speed_and_hold"] = Field(
@@ -464,7 +477,8 @@ class Fleet(Model):
     @classmethod
     def _a_time_with_its_zone(cls, text: str | None) -> str | None:
         try:
-            known = text is None or datetime.fromisoformat(text).tzinfo is not None
+            time = None if text is None else datetime.fromisoformat(text)
+            known = time is None or (time.tzinfo is not None and 2000 <= time.year <= 2200)
         except ValueError:
             known = False
         if not known:
@@ -483,6 +497,11 @@ class Fleet(Model):
             raise _error_at(("fleet", field), "expected only with arrive_together: true, got false")
         if self.arrival_spacing_s > 0.0 and not self.arrival_order:
             raise _error_at(("fleet", "arrival_spacing_s"), "expected arrival_order with it, got none")
+        if self.arrival_order and self.arrival_spacing_s == 0.0:
+            raise _error_at(("fleet", "arrival_order"), "expected an arrival_spacing_s above 0 with it, got none")
+        if self.arrival_spacing_s * max(len(self.arrival_order) - 1, 0) > _DAY_S:
+            problem = f"expected all to arrive within a day, got {self.arrival_spacing_s:g} s between each two"
+            raise _error_at(("fleet", "arrival_spacing_s"), problem)
         return self
 
 
@@ -606,9 +625,12 @@ class Mission(Model):
         order = self.fleet.arrival_order
         if order and sorted(order) != sorted(names):
             wrong = [name for name in order if name not in names]
-            problem = (
-                f"got {wrong[0]!r}: {_suggestion(wrong[0], names)}" if wrong else f"got {len(order)} of {len(names)}"
-            )
+            twice = [name for name in order if order.count(name) > 1]
+            problem = f"got {len(set(order))} of {len(names)}"
+            if wrong:
+                problem = f"got {wrong[0]!r}: {_suggestion(wrong[0], names)}"
+            elif twice:
+                problem = f"got {twice[0]!r} twice"
             raise _error_at(
                 ("fleet", "arrival_order"), f"expected the name of every vehicle once, in their order, {problem}"
             )

@@ -65,14 +65,14 @@ class _Record(BaseModel):
 class _WaypointRecord(_Record):
     position_m: Vector
     speed_m_s: Annotated[float, Field(gt=0)] | None = None
-    hold_s: Annotated[float, Field(ge=0)] = 0.0
+    hold_s: Annotated[float, Field(ge=0, le=86_400)] = 0.0
 
 
 class _VehicleRecord(_Record):
     name: str
     path_m: tuple[Vector, ...] = Field(min_length=2)
     waypoints: tuple[_WaypointRecord, ...] = Field(min_length=2)
-    start_delay_s: Annotated[float, Field(ge=0)]
+    start_delay_s: Annotated[float, Field(ge=0, le=86_400)]
     return_height_m: Annotated[float, Field(gt=0)]
     parameters: dict[str, float] = {}
     window_s: tuple[float, float]

@@ -476,22 +476,29 @@ def schedule(
     meetings = [
         Meeting(
             f"rendezvous {meeting.name}",
-            {names[n]: stops[names[n]][scene.tasks[names[n]].places[str(place)]] for n, place in meeting.at.items()},
+            {names[n]: stops[names[n]][scene.tasks[names[n]].places[place]] for n, place in meeting.at.items()},
         )
         for meeting in fleet.rendezvous
     ]
+    start_later = fleet.lose_time_by == "start_later"
+    if fleet.arrive_together:
+        goals = {index: stop[-1] for index, stop in enumerate(stops)}
+        after_s = {index: fleet.arrives_after_s(task.name) for index, task in enumerate(scene.tasks)}
+        goal = Meeting("fleet.arrival_time_s", goals, after_s)
+        if fleet.arrival_time_s is not None and meetings and start_later:
+            # nobody shall hurry to a meeting and then wait for the arrival: all start later instead
+            _, times = arrange(fliers, [*meetings, goal])
+            later_s = max(0.0, math.floor((fleet.arrival_time_s - times[-1]) * 10.0) / 10.0)
+            fliers = [replace(flier, delay_s=flier.delay_s + later_s) for flier in fliers]
+        meetings.append(replace(goal, time_s=fleet.arrival_time_s))
     for pin in pins:
-        before = [k for k, m in enumerate(meetings) if m.at.get(pin.index, math.inf) >= pin.waypoint]
+        before = [k for k, m in enumerate(meetings) if m.at.get(pin.index, -1) >= pin.waypoint]
         at = before[0] if before else len(meetings)
         if at == len(meetings) or meetings[at].at.get(pin.index) != pin.waypoint:
             meetings.insert(
                 at, Meeting(f"{scene.tasks[pin.index].name}'s pass", {pin.index: pin.waypoint}, {}, pin.t_s)
             )
-    if fleet.arrive_together:
-        goals = {index: stop[-1] for index, stop in enumerate(stops)}
-        after_s = {index: fleet.arrives_after_s(task.name) for index, task in enumerate(scene.tasks)}
-        meetings.append(Meeting("fleet.arrival_time_s", goals, after_s, fleet.arrival_time_s))
-    schedules, times = arrange(fliers, meetings, start_later=fleet.lose_time_by == "start_later")
+    schedules, times = arrange(fliers, meetings, start_later=start_later)
     return schedules, times[-1] if fleet.arrive_together else None
 
 

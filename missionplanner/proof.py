@@ -33,6 +33,7 @@ from missionplanner.scene import RUNWAY_RISE_M, Scene, VehicleTask
 from missionplanner.sortie import Gap, Leg, Sortie
 from missionplanner.terrain_bounds import steepest
 from missionplanner.vehicle import MotionModel
+from missionplanner.waypoints import passes
 
 ARRIVAL_ERROR_MAX_S = 0.5
 """How far a predicted arrival may be from the common one."""
@@ -817,7 +818,7 @@ def _unpredicted(flight: Flight, air: str) -> Finding:
 def _recorded(flight: Flight) -> bool:
     """Whether it flies with parameters and at speeds with which recorded flights kept within the deviation."""
     motion = flight.task.motion
-    fastest_m_s = max(leg.speed_m_s for leg in flight.sortie.legs)
+    fastest_m_s = max(leg.speed_m_s for leg in flight.sortie.legs[1:] or flight.sortie.legs)
     return usual((motion.autopilot, motion.vehicle_class), motion) and fastest_m_s <= _RECORDED_M_S
 
 
@@ -1033,7 +1034,7 @@ def returning(flight: Flight) -> Returning:
         trajectory=flight.trajectory,
         airborne_s=min(float(flight.reached_s[0]), math.nextafter(flight.descends_s, -math.inf)),
         descends_s=flight.descends_s,
-        commanded_m_s=max(leg.speed_m_s for leg in flight.sortie.legs),
+        commanded_m_s=max(leg.speed_m_s for leg in flight.sortie.legs[1:] or flight.sortie.legs),
     )
 
 
@@ -1092,14 +1093,14 @@ def _rendezvous(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
         missed = ""
         for name, place in meeting.at.items():
             flight = by_name.get(name)
-            if flight is None:
+            if flight is None or not flight.task.places:  # of missions of other origin, the file gives no routes
                 continue
-            point_m = flight.task.route_m[flight.task.places[str(place)]]
-            off_m = np.linalg.norm(np.array([leg.end_m for leg in flight.sortie.legs]) - point_m, axis=1)
-            if not flight.timed or off_m.min() > _MEETING_M:
-                missed = missed or name
+            stops = passes(flight.task.route_m, np.array([leg.end_m for leg in flight.sortie.legs]), _MEETING_M)
+            number = flight.task.places.get(place, len(stops))
+            if flight.timed and number < len(stops):
+                times[name] = float(flight.reached_s[stops[number]])
             else:
-                times[name] = float(flight.reached_s[int(np.argmin(off_m))])
+                missed = missed or name
         if missed:
             detail = f"{meeting.name}: no waypoint of {missed} is there, or its times are not known"
             found.append(Finding("rendezvous", missed, False, detail, "plan the mission again"))

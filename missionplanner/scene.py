@@ -64,7 +64,7 @@ class VehicleTask:
     end: Ending
     limits: VehicleLimits
     motion: MotionModel
-    places: Mapping[str, int]  # what the mission calls the route's points: numbers ("0": its start) and towers
+    places: Mapping[int | str, int]  # what the mission calls the route's points: numbers (0: its start) and towers
 
     @property
     def off_prediction_m(self) -> float:
@@ -455,7 +455,7 @@ class _Builder:
             places={},
         )
 
-    def _places(self, vehicle: mission.Vehicle, route_points: int) -> dict[str, int]:
+    def _places(self, vehicle: mission.Vehicle, route_points: int) -> dict[int | str, int]:
         """Return the route's points before the goal by what the mission calls them.
 
         Raises
@@ -467,17 +467,19 @@ class _Builder:
         begin = 0  # of what is numbered: a climb to a start elsewhere comes before it
         if vehicle.start is not None:
             begin = route_points - (1 + len(vehicle.stops) + len(towers) + 1)
-        places = {str(k): begin + k for k in range(route_points - 1 - begin)}
+        places: dict[int | str, int] = {k: begin + k for k in range(route_points - 1 - begin)}
         places |= {name: route_points - 1 - len(towers) + k for k, name in enumerate(towers)}
         last = -1
         for k, meeting in enumerate(self._mission.fleet.rendezvous):
             if vehicle.name not in meeting.at:
                 continue
             what = f"fleet.rendezvous[{k}] ({meeting.name}): {vehicle.name}"
-            place = str(meeting.at[vehicle.name])
+            place = meeting.at[vehicle.name]
             if place not in places:
-                known = ", ".join(places)
-                raise MissionError(f"{what}: expected a place of its route, one of {known}, got {place}")
+                known = ", ".join(map(str, places))
+                goal = place == route_points - 1 - begin
+                hint = ": that is its goal, where fleet.arrive_together brings all together" if goal else ""
+                raise MissionError(f"{what}: expected a place of its route, one of {known}, got {place}{hint}")
             if places[place] <= last:
                 raise MissionError(f"{what}: expected a place after its rendezvous before, got {place}: reorder them")
             last = places[place]

@@ -208,7 +208,7 @@ def _lose_time(
         later_s = due_s - aimed_s
         # a round number, unless there is no speed to make up for it
         course.delay_s += later_s if end == 0 else math.floor(later_s / _LATER_STEP_S) * _LATER_STEP_S
-        course.delay_s = round(course.delay_s, 3)
+        course.delay_s = math.ceil(course.delay_s * 1000.0 - 1e-6) / 1000.0
         return
     if not first and flier.can_wait:
         for _ in range(_HOLDS):  # stopping takes time of its own: perhaps a shorter hold is enough

@@ -23,12 +23,12 @@ _EXCLUDED = np.inf
 _AT_STOP_M = 0.01  # coordinates are stored to a millimetre
 
 
-def passes(route_m: FloatArray, waypoints_m: FloatArray) -> list[int]:
+def passes(route_m: FloatArray, waypoints_m: FloatArray, within_m: float = _AT_STOP_M) -> list[int]:
     """Return which waypoints (W, 3) are the points of a route (R, 3), in its order, up to the first one missed."""
     found: list[int] = []
     begin = 0
     for point_m in route_m:
-        near = np.linalg.norm(waypoints_m[begin:] - point_m, axis=1) <= _AT_STOP_M
+        near = np.linalg.norm(waypoints_m[begin:] - point_m, axis=1) <= within_m
         if not near.any():
             break
         found.append(begin + int(np.argmax(near)))

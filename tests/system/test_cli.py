@@ -88,8 +88,22 @@ WRONG_MISSIONS = {
         ["fleet.arrival_utc", "date, time and zone"],
     ),
     "an order of others": (
-        question(fleet={"arrival_order": ["alpha", "brave"]}),
+        question(fleet={"arrival_order": ["alpha", "brave"], "arrival_spacing_s": 5}),
         ["fleet.arrival_order", "'brave'", "did you mean bravo?"],
+    ),
+    "one named twice": (
+        question(fleet={"arrival_order": ["alpha", "alpha"], "arrival_spacing_s": 5}),
+        ["fleet.arrival_order", "'alpha' twice"],
+    ),
+    "an order at one time": (question(fleet={"arrival_order": ["alpha", "bravo"]}), ["arrival_spacing_s above 0"]),
+    "spacing of ages": (
+        question(fleet={"arrival_order": ["alpha", "bravo"], "arrival_spacing_s": 1e9}),
+        ["fleet.arrival_spacing_s", "86400"],
+    ),
+    "a date before all": (question(fleet={"arrival_utc": "0001-01-01T00:00:00+14:00"}), ["fleet.arrival_utc"]),
+    "a meeting between places": (
+        question(fleet={"rendezvous": [{"name": "line", "at": {"alpha": 1.5, "bravo": 0}}]}),
+        ["fleet.rendezvous[0].at", "alpha: expected a number (0, 1, ...)", "got 1.5"],
     ),
     "spacing without order": (question(fleet={"arrival_spacing_s": 5}), ["fleet.arrival_spacing_s", "arrival_order"]),
     "a clock without a common arrival": (

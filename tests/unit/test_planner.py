@@ -13,9 +13,12 @@ import pytest
 from adapters.sorties import plan_sortie
 from missionplanner import proof
 from missionplanner.errors import InfeasibleError, MissionError
+from missionplanner.path_search import PlannedPath
 from missionplanner.plan import FleetPlan, Trajectory
-from missionplanner.planner import plan_fleet, returning_at
+from missionplanner.planner import _Pin, plan_fleet, returning_at, schedule
 from missionplanner.scene import Scene
+from missionplanner.timing import reached_times
+from missionplanner.waypoints import passes
 from tests.scenes import at, copter, question, scene_of
 
 # Four copters that swap places: the straight ways of all pairs cross, two of them head-on.
@@ -216,6 +219,38 @@ def test_meetings_on_the_way() -> None:
     assert "begin" in wrong[0]
 
 
+def test_a_place_passed_twice_is_met_at_its_own_visit() -> None:
+    there, beyond = at(200, 0, agl=40), at(260, 30, agl=40)
+    again = copter("again", (0, 0), (400, 0), stops=[there, beyond, there])
+    other = copter("other", (0, 100), (400, 100), stops=[at(200, 100, agl=40)])
+    meetings = [{"name": "line", "at": {"again": 3, "other": 1}}]
+    scene, plan = planned(again, other, fleet={"rendezvous": meetings, **WAIVED})
+    stops = passes(scene.tasks[0].route_m, plan.vehicles[0].waypoints_m)
+    other_stops = passes(scene.tasks[1].route_m, plan.vehicles[1].waypoints_m)
+    assert plan.vehicles[0].reached_s[stops[3]] == pytest.approx(plan.vehicles[1].reached_s[other_stops[1]], abs=0.1)
+
+
+def test_meetings_before_a_late_arrival_are_late_too() -> None:
+    meetings = [{"name": "begin", "at": {"uav0": 1, "uav1": 1}}]
+    _, plan = planned(*LINE[:2], fleet={"rendezvous": meetings, "arrival_time_s": 600})
+    assert plan.arrival_s == 600.0
+    assert all(v.start_delay_s > 400.0 for v in plan.vehicles)
+    assert all(v.hold_s.max() == 0.0 for v in plan.vehicles)
+
+
+def test_a_pin_comes_after_its_own_vehicles_earlier_meetings() -> None:
+    meetings = [{"name": "others", "at": {"uav1": 1, "uav2": 1}}, {"name": "mine", "at": {"uav0": 1, "uav1": 2}}]
+    scene = scene_of(question(*LINE, fleet={"rendezvous": meetings}))
+    paths = [PlannedPath(t.route_m, t.route_m, 0.0, 0.0, {}, np.zeros(1), 0) for t in scene.tasks]
+    schedules, _ = schedule(scene, paths, [0.0] * 3, [_Pin(0, 2, 130.0)])
+    one, other, _ = (
+        when.start_delay_s + reached_times(task.motion, task.home_m, task.route_m, when.speeds_m_s, when.hold_s)
+        for task, when in zip(scene.tasks, schedules, strict=True)
+    )
+    assert one[1] == pytest.approx(other[2], abs=0.1)
+    assert one[2] == pytest.approx(130.0, abs=0.1)
+
+
 @pytest.mark.parametrize(
     ("at_", "told"),
     [
@@ -223,6 +258,7 @@ def test_meetings_on_the_way() -> None:
             {"uav0": 2, "uav1": 7},
             r"rendezvous\[1\] \(end\): uav1: expected a place of its route, one of 0, 1, 2, got 7",
         ),
+        ({"uav0": 2, "uav1": 3}, r"got 3: that is its goal, where fleet.arrive_together brings all together"),
         ({"uav0": 0, "uav1": 2}, r"uav0: expected a place after its rendezvous before, got 0: reorder them"),
     ],
 )
