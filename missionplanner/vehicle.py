@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from missionplanner.autopilot_parameters import defaults, fields, with_values
+from missionplanner.autopilot_parameters import defaults, fields, parameters, with_values
 from missionplanner.errors import MissionError
 from missionplanner.mission import VehicleSettings
 
@@ -232,6 +232,13 @@ def deviation_m(model: MotionModel) -> float:
 
 # what no parameter says of a plane: how it changes its speed
 _PLANE_ASSUMED = {"acceleration_m_s2": 1.5, "jerk_m_s3": 1.0}
+# PX4's guidance integrates nothing and has one pair of pitch limits; its airspeed is taken to be read as it is
+_PX4_PLANE_ASSUMED = _PLANE_ASSUMED | {
+    "plane.l1_integral": 0.0,
+    "plane.pitch_max_deg": 0.0,
+    "plane.pitch_min_deg": 0.0,
+    "plane.airspeed_reads_low": 0.0,
+}
 _SPEED_DEFAULTS: dict[tuple[Autopilot, VehicleClass], tuple[float, float]] = {
     ("ardupilot", "copter"): (3.0, 10.0),
     ("px4", "copter"): (3.0, 10.0),
@@ -250,10 +257,12 @@ def motion_model(settings: VehicleSettings, air_m_s: tuple[float, float] = (0.0,
     Raises
     ------
     MissionError
-        A plane that circles, by its parameters, more tightly than it turns.
+        A plane that circles, by its parameters, more tightly than it turns, or whose airspeeds are out of order.
     """
     assert settings.parameter_file is None, "with_parameter_files first"
-    values = _PLANE_ASSUMED if settings.vehicle_class == "plane" else {}
+    values: dict[str, float] = {}
+    if settings.vehicle_class == "plane":
+        values = _PLANE_ASSUMED if settings.autopilot == "ardupilot" else _PX4_PLANE_ASSUMED
     values = values | defaults((settings.autopilot, settings.vehicle_class)) | settings.asked_motion()
     own: dict[str, Any] = {field: value for field, value in values.items() if "." not in field}
     turn_radius_m = _or(settings.turn_radius_m, _TURN_RADIUS_M[settings.vehicle_class])
@@ -265,6 +274,8 @@ def motion_model(settings: VehicleSettings, air_m_s: tuple[float, float] = (0.0,
         **own,
     )
     model = with_values(model, values)
+    if settings.vehicle_class == "plane":
+        _check_airspeeds(settings, model)
     told = fields((settings.autopilot, settings.vehicle_class), settings.parameters).get("loiter_radius_m")
     if told is not None and told[1] < turn_radius_m:
         raise MissionError(
@@ -272,6 +283,29 @@ def motion_model(settings: VehicleSettings, air_m_s: tuple[float, float] = (0.0,
             "tightly it turns, or set a wider circle on the vehicle"
         )
     return replace(model, loiter_radius_m=max(model.loiter_radius_m, turn_radius_m))
+
+
+def _check_airspeeds(settings: VehicleSettings, model: MotionModel) -> None:
+    """Refuse a plane that is set to cruise at what it would not fly."""
+    slowest, fastest = model.airspeed_limits_m_s
+    if not slowest <= model.cruise_speed_m_s <= fastest:
+        low, high = _airspeed_names(settings)
+        cruise = _name_of(settings, "cruise_speed_m_s")
+        raise MissionError(
+            f"parameters: expected {low} <= {cruise} <= {high}, got {slowest:g}, {model.cruise_speed_m_s:g} and "
+            f"{fastest:g} m/s: set the vehicle so, and say so in the mission file"
+        )
+
+
+def _airspeed_names(settings: VehicleSettings) -> tuple[str, str]:
+    return _name_of(settings, "airspeed_limits_m_s.0"), _name_of(settings, "airspeed_limits_m_s.1")
+
+
+def _name_of(settings: VehicleSettings, field: str) -> str:
+    """Return the name of the parameter that sets a field, as the mission file spells it where it does."""
+    kind = (settings.autopilot, settings.vehicle_class)
+    told = fields(kind, settings.parameters).get(field)
+    return told[0] if told is not None else next(p.name for p in parameters(kind) if p.field == field)
 
 
 def ending(settings: VehicleSettings) -> Ending:
@@ -305,12 +339,24 @@ def vehicle_limits(settings: VehicleSettings, vertical_error_m: float) -> Vehicl
 
 
 def _speeds_m_s(settings: VehicleSettings, model: MotionModel) -> tuple[float, float]:
-    """Return the least and the greatest speed along the path: the mission file's, else what its autopilot allows."""
+    """Return the least and the greatest speed along the path: the mission file's, else what its autopilot allows.
+
+    Raises
+    ------
+    MissionError
+        None is given, and a plane's parameters allow none of the usual ones.
+    """
     if settings.speed_m_s is not None:
         return settings.speed_m_s.min, settings.speed_m_s.max
     low, high = _SPEED_DEFAULTS[settings.autopilot, settings.vehicle_class]
     if settings.vehicle_class == "plane":
         slowest, fastest = model.airspeed_limits_m_s
+        if slowest > high or fastest < low:
+            least, most = _airspeed_names(settings)
+            raise MissionError(
+                f"speed_m_s: missing: its default, {low:g} to {high:g} m/s, lies outside {least} {slowest:g} to "
+                f"{most} {fastest:g} m/s: state min and max within these"
+            )
         low, high = max(low, slowest), min(high, fastest)
     elif settings.autopilot == "ardupilot":
         high = model.arducopter.cruise_speed_m_s

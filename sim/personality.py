@@ -519,7 +519,7 @@ _PX4_COPTER = Personality(
             "MIS_DIST_1WP": 10_000.0,
             "RTL_CONE_ANG": 45,
             "RTL_MIN_DIST": 10.0,
-            "RTL_RETURN_ALT": 60.0,
+            "RTL_RETURN_ALT": 30.0,
             "RTL_TYPE": 0,  # the only one that is simulated
             "NAV_RCL_ACT": 2,
         }

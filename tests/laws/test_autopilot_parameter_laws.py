@@ -17,6 +17,7 @@ from tests.laws.parameter_vehicles import LossyVehicle
 
 KINDS: list[Kind] = [("ardupilot", "copter"), ("ardupilot", "plane"), ("px4", "copter"), ("px4", "plane")]
 kinds = st.sampled_from(KINDS)
+_AIRSPEEDS = "airspeed_limits_m_s.0", "cruise_speed_m_s", "airspeed_limits_m_s.1"
 
 
 def settings_of(kind: Kind, **said: object) -> VehicleSettings:
@@ -38,6 +39,8 @@ def value_in(parameter: Parameter) -> st.SearchStrategy[float]:
 def models(draw: st.DrawFn) -> tuple[Kind, MotionModel]:
     kind = draw(kinds)
     values = {p.field: draw(value_in(p)) for p in parameters(kind) if not p.sent}
+    if kind[1] == "plane":  # others are refused
+        values |= zip(_AIRSPEEDS, sorted(values[field] for field in _AIRSPEEDS), strict=True)
     return kind, with_values(motion_model(settings_of(kind)), values)
 
 

@@ -70,14 +70,33 @@ def test_the_tables_are_where_defaults_come_from(kind: Kind) -> None:
         assert parameter.low <= parameter.default <= parameter.high
 
 
-@EACH
+@pytest.mark.parametrize("kind", [COPTER, PLANE, ("px4", "copter")])
 def test_what_tuning_says_by_itself_is_what_its_table_says(kind: Kind) -> None:
-    """Defaults within the dataclasses are only there for models made by hand: they must be the same."""
+    """Defaults within the dataclasses are only there for models made by hand: they must be the same.
+
+    A plane's are ArduPlane's: PX4's planes have theirs from the table alone.
+    """
     autopilot, vehicle_class = kind
     bare = MotionModel(autopilot, vehicle_class, 1.0, 1.0, 1.0, 1.0, 1.0, 0.0)
     for parameter in parameters(kind):
         if "." in parameter.field and not parameter.field.startswith("airspeed_limits"):
             assert value_of(bare, parameter.field) == parameter.default
+
+
+def test_px4s_planes_turn_as_px4_turns_them() -> None:
+    """Defaults of fw_path_navigation_params.c and fw_att_control_params.c, 1.15; nothing is left of ArduPlane's."""
+    plane = model_of(("px4", "plane")).plane
+    assert (plane.roll_max_deg, plane.roll_time_s) == (50.0, 0.4)
+    assert (plane.l1_period_s, plane.l1_damping, plane.l1_integral) == (10.0, 0.7, 0.0)
+    assert plane.pitch_range_deg == (-30.0, 30.0)
+    assert plane.airspeed_reads_low == 0.0  # that is what ArduPlane's simulated sensor does
+    told = model_of(("px4", "plane"), parameters={"FW_R_LIM": 40, "NPFG_PERIOD": 20, "FW_P_LIM_MAX": 25}).plane
+    assert (told.roll_max_deg, told.l1_period_s, told.pitch_range_deg) == (40.0, 20.0, (-30.0, 25.0))
+    found = differences(("px4", "plane"), model_of(("px4", "plane")), {"FW_R_LIM": 30.0, "NPFG_PERIOD": 12.0})
+    assert [(d.name, d.planned, d.held, d.plannable) for d in found] == [
+        ("NPFG_PERIOD", 10.0, 12.0, True),
+        ("FW_R_LIM", 50.0, 30.0, False),
+    ]
 
 
 @EACH

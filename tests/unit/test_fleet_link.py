@@ -363,7 +363,7 @@ def test_returns_of_an_armed_vehicle_are_left_alone() -> None:
         LinkError, match="is armed: land and disarm it before setting its return height; nothing was set"
     ):
         rig.link.set_returns()
-    assert rig.sim.links[0].autopilot.parameters["RTL_RETURN_ALT"] == 60.0
+    assert rig.sim.links[0].autopilot.parameters["RTL_RETURN_ALT"] == 30.0
 
 
 # what vehicles hold
@@ -406,7 +406,7 @@ def test_missions_are_read_of_vehicles_that_no_plan_describes(
         assert (vehicle.sysid, vehicle.autopilot, vehicle.vehicle_class) == (sysid, autopilot, vehicle_class)
         assert [i.command for i in vehicle.items] == [i.command for i in rig.link.items[sysid]]
         assert (
-            vehicle.return_height_m == {"ardupilot": 15.0, "px4": 60.0}[autopilot]
+            vehicle.return_height_m == {"ardupilot": 15.0, "px4": 30.0}[autopilot]
             if vehicle_class == "copter"
             else 100.0
         )

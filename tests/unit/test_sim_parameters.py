@@ -34,13 +34,15 @@ _OTHERS = {
     "px4.takeoff_least_m": 25.0,
     "px4.speed_max_m_s": 3.0,
     "px4.tilt_max_deg": 20.0,
+    "NAV_ACC_RAD": 5.0,
 }
 
 
 def other_value(parameter: Parameter) -> float:
     """Return another value within the range that single precision keeps."""
-    if parameter.field in _OTHERS:
-        return _OTHERS[parameter.field]
+    for key in (parameter.field, parameter.name):
+        if key in _OTHERS:
+            return _OTHERS[key]
     value = 0.75 * parameter.default if parameter.low <= 0.75 * parameter.default else 1.5 * parameter.default
     spelling = parameter.spellings[0]
     return round(value * spelling.per_unit) / spelling.per_unit if spelling.whole else float(np.float32(value))

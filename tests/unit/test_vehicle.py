@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from missionplanner.errors import MissionError
 from missionplanner.mission import VehicleSettings
 from missionplanner.vehicle import ending, motion_model, vehicle_limits
 from tests.limits import limits as some_limits
@@ -81,7 +82,7 @@ def test_the_tube_is_all_that_a_vehicle_may_be_off(fields: dict[str, object], de
 
 @pytest.mark.parametrize(
     ("autopilot", "vehicle_class", "height_m"),
-    [("ardupilot", "copter", 15.0), ("px4", "copter", 60.0), ("ardupilot", "plane", 100.0), ("px4", "plane", 100.0)],
+    [("ardupilot", "copter", 15.0), ("px4", "copter", 30.0), ("ardupilot", "plane", 100.0), ("px4", "plane", 100.0)],
 )
 def test_who_is_not_told_how_high_to_return_returns_as_its_autopilot_does(
     autopilot: str, vehicle_class: str, height_m: float
@@ -157,3 +158,38 @@ def test_what_the_mission_says_of_limits_holds() -> None:
 )
 def test_where_a_flight_ends(fields: dict[str, str], expected: str) -> None:
     assert ending(settings(**fields)) == expected
+
+
+@pytest.mark.parametrize(
+    ("autopilot", "parameters", "told"),
+    [
+        ("ardupilot", {"AIRSPEED_MIN": 25}, r"AIRSPEED_MIN <= AIRSPEED_CRUISE <= AIRSPEED_MAX, got 25, 22 and 30 m/s"),
+        ("ardupilot", {"AIRSPEED_MIN": 25, "AIRSPEED_MAX": 20}, "got 25, 22 and 20 m/s"),
+        ("ardupilot", {"TRIM_ARSPD_CM": 5000}, "<= TRIM_ARSPD_CM <= AIRSPEED_MAX, got 9, 50 and 30 m/s"),
+        ("ardupilot", {"AIRSPEED_CRUISE": 5}, "got 9, 5 and 30 m/s"),
+        ("px4", {"FW_AIRSPD_MAX": 12}, "FW_AIRSPD_MIN <= FW_AIRSPD_TRIM <= FW_AIRSPD_MAX, got 10, 15 and 12 m/s"),
+    ],
+)
+@pytest.mark.parametrize("speed", [None, {"min": 25, "max": 28}])
+def test_airspeeds_out_of_order_are_refused(
+    autopilot: str, parameters: dict[str, float], told: str, speed: dict[str, float] | None
+) -> None:
+    asked = settings(autopilot=autopilot, parameters=parameters, speed_m_s=speed, **{"class": "plane"})
+    for use in (motion_model, lambda one: vehicle_limits(one, vertical_error_m=0.0)):
+        with pytest.raises(MissionError, match=told):
+            use(asked)
+
+
+def test_a_plane_for_which_no_usual_speed_is_allowed_must_be_told_its_own() -> None:
+    fast = {"AIRSPEED_MIN": 25, "AIRSPEED_CRUISE": 27}
+    told = "its default, 14 to 22 m/s, lies outside AIRSPEED_MIN 25 to AIRSPEED_MAX 30 m/s"
+    with pytest.raises(MissionError, match=told):
+        vehicle_limits(settings(parameters=fast, **{"class": "plane"}), vertical_error_m=0.0)
+    own = settings(parameters=fast, speed_m_s={"min": 25, "max": 29}, **{"class": "plane"})
+    assert vehicle_limits(own, vertical_error_m=0.0).speed_max_m_s == 29.0
+    slow = settings(parameters={"ARSPD_FBW_MAX": 12, "AIRSPEED_CRUISE": 11}, **{"class": "plane"})
+    with pytest.raises(MissionError, match="outside AIRSPEED_MIN 9 to ARSPD_FBW_MAX 12 m/s"):
+        vehicle_limits(slow, vertical_error_m=0.0)
+    within = settings(parameters={"AIRSPEED_MIN": 16, "AIRSPEED_MAX": 22}, **{"class": "plane"})
+    limits = vehicle_limits(within, vertical_error_m=0.0)
+    assert (limits.speed_min_m_s, limits.speed_max_m_s) == (16.0, 22.0)
