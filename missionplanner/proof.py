@@ -1158,6 +1158,8 @@ def _assumptions(scene: Scene, flights: Sequence[Flight]) -> list[str]:
             f"{limits.tracking_error_m:g} m tracking, {limits.position_error_m:g} m position, "
             f"{limits.deviation_m:g} m corners cut and look-ahead of {motion.autopilot}"
         )
+        if (motion.autopilot, motion.vehicle_class) == ("px4", "plane"):
+            lines.append(f"{flight.sortie.name} flies as predicted: not measured, no PX4 plane was ever recorded")
     lines += _starts_told(scene, flights)
     lines += [f"{flight.sortie.name}: {note}" for flight in flights for note in flight.sortie.notes]
     lines += [
