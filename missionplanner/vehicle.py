@@ -157,7 +157,8 @@ class MotionModel:
     def sluggish_s(self) -> float:
         """How much later than with the default parameters a copter accelerates as it should."""
         if self.autopilot == "px4":
-            return max(0.0, 1.0 / self.px4.velocity_gains[0] - 1.0 / Px4Tuning().velocity_gains[0])
+            (gain, _, damping), (usual_gain, _, usual_damping) = self.px4.velocity_gains, Px4Tuning().velocity_gains
+            return max(0.0, (1.0 + damping) / gain - (1.0 + usual_damping) / usual_gain)
         own, usual = self.arducopter, ArducopterTuning()
         leaning_s = max(0.0, own.input_time_s - usual.input_time_s)
         return leaning_s + max(0.0, 1.0 / own.velocity_gains[0] - 1.0 / usual.velocity_gains[0])
