@@ -15,11 +15,11 @@ A copter that is told to return (by hand, low battery, lost link) brakes, climbs
   height; so high it flies home from anywhere above it. The ways home from a piece of the flight fill a triangle.
 - Above home it descends to the ground.
 
-A plane turns towards home, at any altitude between its own and the return height, within two turn radii of the way.
+A plane turns towards home, at any altitude between its own and the return height, as near its way as its guidance, its
+bank and the strongest wind let it turn and circle (:meth:`.MotionModel.aside_m`).
 
 In wind, a copter brakes with what is left of its lean limit when the strongest wind allowed for pushes it on. On its
-way home it is off by what the wind it is planned with pushes it aside at most, whatever its course. A plane is carried
-with the strongest wind for as long as it takes to turn once around.
+way home it is off by what the wind it is planned with pushes it aside at most, whatever its course.
 
 Pieces of the flight form trees; each node is a segment that all stopping ways of its piece are within a stated reach
 of. Nodes are looked into until decided: nothing is sampled.
@@ -54,7 +54,7 @@ from missionplanner.kernels import (
 from missionplanner.plan import Trajectory
 from missionplanner.terrain_bounds import Pyramid, least_height
 from missionplanner.vehicle import MotionModel, VehicleLimits
-from missionplanner.wind import braking_m_s2, pushed_off_m, turn_drift_m
+from missionplanner.wind import braking_m_s2, pushed_off_m
 
 _TICK_S = 0.1
 _LEAN_S = 0.3  # for which ArduCopter still accelerates as before, with its default parameters
@@ -133,6 +133,23 @@ class Returning:
     airborne_s: float
     descends_s: float
     commanded_m_s: float = 0.0  # the fastest of its legs
+
+    @property
+    def circled_m(self) -> float:
+        """How far from their middle a plane's circles at its end lead at most."""
+        return self.motion.circle_m(*self._fastest())
+
+    @property
+    def aside_m(self) -> float:
+        """How far aside of its straight way home a plane flies at most."""
+        return self.motion.aside_m(*self._fastest())
+
+    def _fastest(self) -> tuple[float, float, float]:
+        """Return a plane's greatest airspeed and altitude, and the strongest wind."""
+        high_m = float(self.trajectory.position_m[:, 2].max())
+        home_m = self.motion.return_alt_amsl_m(high_m, float(self.home_m[2]))
+        wind_m_s = max(self.limits.wind_max_m_s, math.hypot(*self.motion.wind_m_s))
+        return max(self.commanded_m_s, self.motion.cruise_speed_m_s), max(high_m, home_m), wind_m_s
 
 
 # --- pieces of the flight ------------------------------------------------------------------------------------------
@@ -218,7 +235,7 @@ def _track(v: Returning, ticks: int) -> _Track:
     if only_at_end:
         state[before & ~after] = _ABSENT
     if plane:
-        stop, swing = p[:, :2].copy(), np.where(t > end_s, 2.0 * v.motion.loiter_radius_m, 0.0)
+        stop, swing = p[:, :2].copy(), np.where(t > end_s, 2.0 * v.circled_m, 0.0)
         low = high = p[:, 2]
         lift = np.zeros(len(t))
     else:
@@ -238,9 +255,7 @@ def _track(v: Returning, ticks: int) -> _Track:
         home_m=np.asarray(v.home_m, dtype=np.float64),
         plane=plane,
         radius_m=v.limits.tube_m if plane else v.limits.stray_m + pushed_off_m(v.motion),
-        widen_m=max(2.0 * v.motion.turn_radius_m, v.motion.loiter_radius_m) + turn_drift_m(v.motion, v.limits)
-        if plane
-        else 0.0,
+        widen_m=v.aside_m if plane else 0.0,
     )
 
 

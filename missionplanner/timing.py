@@ -70,8 +70,9 @@ def predict_flight(
             way = Route.through(waypoints[-1:], last_m_s)
     parts.append(navigator.fly(way)[0])
     if end == "loiter" or (end == "rtl" and model.vehicle_class == "plane"):
+        settling_s = _settling_s(model, float(way.speed_m_s[-1]), float(way.points_m[-1, 2]))
         flown_s = start_delay_s + sum(float(part.t_s[-1]) for part in parts)
-        parts.append(navigator.linger(max(_settling_s(model, float(way.speed_m_s[-1])), until_s - flown_s)))
+        parts.append(navigator.linger(max(settling_s, until_s - flown_s)))
     t_s = [np.zeros(1)] if start_delay_s > 0.0 else []
     position_m = [home[None]] if start_delay_s > 0.0 else []
     begin_s = start_delay_s
@@ -83,9 +84,13 @@ def predict_flight(
     return Trajectory(np.concatenate(t_s), np.concatenate(position_m)), reached_s + start_delay_s
 
 
-def _settling_s(model: MotionModel, speed_m_s: float) -> float:
+def _settling_s(model: MotionModel, speed_m_s: float, alt_amsl_m: float) -> float:
     """Return how long a vehicle is followed that stays at its end."""
-    return _HOVER_S if model.vehicle_class == "copter" else 2.0 * (2.0 * math.pi * model.loiter_radius_m / speed_m_s)
+    if model.vehicle_class == "copter":
+        return _HOVER_S
+    wind_m_s = math.hypot(*model.wind_m_s)
+    ground_m_s = max(speed_m_s - wind_m_s, 0.25 * speed_m_s)
+    return 2.0 * 2.0 * math.pi * model.circle_m(speed_m_s, alt_amsl_m, wind_m_s) / ground_m_s
 
 
 def _outbound(

@@ -15,12 +15,15 @@ VehicleClass = Literal["copter", "plane"]
 Ending = Literal["land", "rtl", "loiter"]
 
 
-_TAKEOFF_ROLL_M, _TAKEOFF_ROLL_S = (
-    37.0,
-    0.6,
-)  # a plane's; in a tailwind longer (as simulated, and recorded without wind)
-_TAKEOFF_ANGLE_DEG = 5.0  # how much steeper than its nose points it climbs then
+# a plane's take-off: how far it rolls, in a tailwind longer (as simulated, and recorded without wind), ...
+_TAKEOFF_ROLL_M, _TAKEOFF_ROLL_S = 37.0, 0.6
+_TAKEOFF_ANGLE_DEG = 5.0  # how much steeper than its nose points a strong one climbs then
 _TAKEOFF_CLIMB_M_S = 7.0  # the wind carries it so long
+# how wide planes circle and turn, in radii of their tightest turn, as simulated over speeds, radii, tunings and winds
+_CIRCLE_SLIP_TURNS, _CIRCLE_LEAST_TURNS, _ASIDE_TURNS = 1.0, 2.6, 3.0
+_BANK_ALWAYS_RAD = 0.4363  # however slow it flies
+_AIRSPEED_MIN_M_S = 10.0  # where no parameter tells
+_GRAVITY_M_S2 = 9.80665
 
 
 def true_airspeed(alt_amsl_m: float) -> float:
@@ -174,10 +177,44 @@ class MotionModel:
         return max(alt_amsl_m, lowest) if self.vehicle_class == "copter" else lowest
 
     def takeoff_distance_m(self, height_m: float, home_amsl_m: float, tailwind_m_s: float = 0.0) -> float:
-        """Return how far from its home a plane that climbs at its greatest rate has gained a height; 0: lifts off."""
+        """Return how far from its home a plane that climbs as stated, no better, has gained a height; 0: lifts off.
+
+        That is at its greatest rate and its cruise speed, or with its nose as high as it takes off, if that is less.
+        """
         roll_m = _TAKEOFF_ROLL_M * math.sqrt(true_airspeed(home_amsl_m)) + _TAKEOFF_ROLL_S * tailwind_m_s
         angle_rad = math.radians(self.plane.takeoff_pitch_deg + _TAKEOFF_ANGLE_DEG)
-        return roll_m + height_m * (1.0 / math.tan(angle_rad) + tailwind_m_s / _TAKEOFF_CLIMB_M_S)
+        speed_m_s = self.true_speed_m_s(self.cruise_speed_m_s, home_amsl_m + height_m)
+        stated_rad = math.asin(min(self.climb_rate_m_s / speed_m_s, 1.0))
+        climb_m_s = min(_TAKEOFF_CLIMB_M_S, self.climb_rate_m_s)
+        return roll_m + height_m * (1.0 / math.tan(min(angle_rad, stated_rad)) + tailwind_m_s / climb_m_s)
+
+    def true_speed_m_s(self, airspeed_m_s: float, alt_amsl_m: float) -> float:
+        """Return how fast a plane flies through the air when its autopilot holds an airspeed."""
+        return airspeed_m_s * (1.0 + self.plane.airspeed_reads_low) * true_airspeed(alt_amsl_m)
+
+    def circle_m(self, airspeed_m_s: float, alt_amsl_m: float, wind_m_s: float = 0.0) -> float:
+        """Return how far from its middle a plane circles at most once it has settled there, in such a wind.
+
+        Thin air makes ArduPlane widen the circle; it slips outwards, and further where its bank is too little.
+        """
+        turn_m = self._tightest_m(airspeed_m_s, alt_amsl_m, wind_m_s)
+        return max(self._circle_wanted_m(alt_amsl_m) + _CIRCLE_SLIP_TURNS * turn_m, _CIRCLE_LEAST_TURNS * turn_m)
+
+    def aside_m(self, airspeed_m_s: float, alt_amsl_m: float, wind_m_s: float = 0.0) -> float:
+        """Return how far off the straight way home a plane is at most that turns there, in such a wind, and circles."""
+        turn_m = self._tightest_m(airspeed_m_s, alt_amsl_m, wind_m_s)
+        return self._circle_wanted_m(alt_amsl_m) + _ASIDE_TURNS * turn_m
+
+    def _circle_wanted_m(self, alt_amsl_m: float) -> float:
+        return self.loiter_radius_m * self.true_speed_m_s(1.0, alt_amsl_m) ** 2
+
+    def _tightest_m(self, airspeed_m_s: float, alt_amsl_m: float, wind_m_s: float) -> float:
+        """Return the radius over the ground, with the wind behind, of a plane's tightest turn: guided, and banked."""
+        load = max(airspeed_m_s / (self.airspeed_limits_m_s[0] or _AIRSPEED_MIN_M_S), 1.0)
+        bank_rad = min(math.radians(self.plane.roll_max_deg), max(math.acos(1.0 / load**2), _BANK_ALWAYS_RAD))
+        ground_m_s = self.true_speed_m_s(airspeed_m_s, alt_amsl_m) + wind_m_s
+        guided_m = ground_m_s * self.plane.l1_period_s / (4.0 * math.pi * self.plane.l1_damping)
+        return max(ground_m_s**2 / (_GRAVITY_M_S2 * math.tan(bank_rad)), guided_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,6 +238,7 @@ class VehicleLimits:
     endurance_s: float
     airspeed_max_m_s: float = math.inf  # where the mission file states it
     wind_max_m_s: float = 0.0  # the strongest wind that is allowed for, from any direction
+    flown_radius_min_m: float = 0.0  # planes: turn_radius_m where it is stated; 0: however tightly they bank
 
     @property
     def stray_m(self) -> float:
@@ -336,6 +374,7 @@ def vehicle_limits(settings: VehicleSettings, vertical_error_m: float) -> Vehicl
         alt_amsl_max_m=_or(settings.alt_amsl_max_m, math.inf),
         endurance_s=_or(settings.endurance_s, math.inf),
         airspeed_max_m_s=_or(settings.airspeed_max_m_s, math.inf),
+        flown_radius_min_m=_or(settings.turn_radius_m, 0.0) if settings.vehicle_class == "plane" else 0.0,
     )
 
 

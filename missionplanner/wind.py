@@ -297,8 +297,3 @@ def leaning_in_m(model: MotionModel, wind_m_s: float) -> float:
         position += velocity * _LEAN_IN_STEP_S
         farthest = max(farthest, abs(position))
     return farthest
-
-
-def turn_drift_m(model: MotionModel, limits: VehicleLimits) -> float:
-    """Return how far the strongest wind carries a plane while it turns once around, as slowly as it may fly."""
-    return limits.wind_max_m_s * 2.0 * math.pi * model.turn_radius_m / min(limits.speed_min_m_s, model.cruise_speed_m_s)

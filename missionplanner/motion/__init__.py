@@ -10,12 +10,14 @@ understand it; vertical rates have their own limits, and the slower of the two d
 """
 
 from missionplanner.motion.navigator import TICK_S, Navigator, predict
+from missionplanner.motion.plane import climbing_as_stated
 from missionplanner.motion.routes import Route, landing_points, landing_s, return_points, takeoff_points
 
 __all__ = [
     "TICK_S",
     "Navigator",
     "Route",
+    "climbing_as_stated",
     "landing_points",
     "landing_s",
     "predict",

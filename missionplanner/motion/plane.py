@@ -14,6 +14,7 @@ lift-off, and how low the airspeed sensor reads.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from missionplanner.motion.state import (
     AIRBORNE,
@@ -111,7 +112,7 @@ from missionplanner.motion.state import (
     IntArray,
     kernel,
 )
-from missionplanner.vehicle import true_airspeed
+from missionplanner.vehicle import MotionModel, true_airspeed
 
 _STEP_S = 0.0167  # three per tick
 _CONTROL_S = 0.1  # navigate() and update_alt() run at 10 Hz
@@ -152,7 +153,30 @@ _TILT_MAX_RAD = math.radians(85.0)
 _ROLLING_FRICTION = 0.3  # 1/s
 _FAST_M_S, _LIFT_OFF_S = 5.0, 2.15  # it has flown so fast over the ground for so long when it lifts off (measured)
 
+_NOSE_LOWER_DEG = 2.0  # it lifts off with more speed than it climbs with, which must not help it up
+
 _true_airspeed = kernel(true_airspeed)
+
+
+def climbing_as_stated(model: MotionModel, alt_amsl_m: float) -> MotionModel:
+    """Return a plane that at full throttle and its cruise airspeed just climbs as stated (its climb rate), no better.
+
+    The one that SITL simulates climbs out twice as fast, whatever is stated; a real one is somewhere in between.
+    """
+    plane = model.plane
+    speed = model.true_speed_m_s(model.cruise_speed_m_s, alt_amsl_m)
+    rise = min(model.climb_rate_m_s / speed, 1.0)
+    pressure = 0.5 * _SEA_DENSITY * (speed / true_airspeed(alt_amsl_m)) ** 2 * _WING_M2
+    weight = _MASS_KG * _GRAVITY_M_S2
+    lift = weight * math.sqrt(1.0 - rise * rise) / pressure
+    thrust = pressure * (_DRAG_0 + _INDUCED * lift * lift) / weight + rise
+    pitch_deg = math.degrees(math.asin(rise) + (lift - _LIFT_0) / _LIFT_ALPHA) - _NOSE_LOWER_DEG
+    weaker = replace(
+        plane,
+        thrust_to_weight=min(plane.thrust_to_weight, thrust),
+        takeoff_pitch_deg=min(plane.takeoff_pitch_deg, max(pitch_deg, 0.0)),
+    )
+    return replace(model, plane=weaker)
 
 
 @kernel

@@ -32,7 +32,7 @@ def _mission(**defaults: Any) -> dict[str, Any]:
         "origin": ORIGIN,
         "terrain": _PEAKS,
         "obstacles": [_MAST, _RADAR],
-        "defaults": {"class": "plane", "turn_radius_m": 60, "tracking_error_m": 5, **defaults},
+        "defaults": {"class": "plane", "tracking_error_m": 5, **defaults},
         "vehicles": [
             {"name": "p1", "home": at(0, 0), "goal": at(2800, 300, agl=90)},
             {
