@@ -315,6 +315,10 @@ class _Builder:
             case mission.Cable():
                 start = self._position(obstacle.start, f"{what}.start")
                 end = self._position(obstacle.end, f"{what}.end")
+                if np.linalg.norm(end - start) < _SAME_PLACE_M:
+                    raise MissionError(
+                        f"{what}.end: expected a place {_SAME_PLACE_M} m or more from its start, got that"
+                    )
                 return CableSolid(name, start, end, obstacle.radius_m)
 
     def _top(self, obstacle: mission.Cylinder | mission.NoFly, outline: FloatArray, what: str) -> float:

@@ -37,7 +37,9 @@ solid = st.one_of(
         st.one_of(place, st.just(-math.inf)),
         st.one_of(size, st.just(math.inf)),
     ).filter(lambda p: p.floor_amsl_m < p.top_amsl_m),
-    st.builds(CableSolid, st.just("w"), point, point, st.floats(0.01, 20.0)),
+    st.builds(CableSolid, st.just("w"), point, point, st.floats(0.01, 20.0)).filter(
+        lambda w: math.dist(w.start, w.end) > 0.5  # no mission has a shorter one
+    ),
 )
 
 FLAT = TerrainArrays(np.zeros((50, 50), np.float32), np.array([[25.0, 0, 100.0] + [0] * 7, [25.0, 100.0, 0] + [0] * 7]))

@@ -157,7 +157,7 @@ def change_json(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
 def lower(document: dict[str, Any]) -> None:
     """Bring a waypoint of the first vehicle down to 12 m above the ground."""
     first, *others = document["vehicles"][0]["waypoints"]
-    low = dict(first, position_m=[150.0, 5.0, 112.0])
+    low = dict(others[0], position_m=[150.0, 5.0, 112.0])
     document["vehicles"][0]["waypoints"] = [first, low, *others]
 
 
@@ -192,7 +192,8 @@ def _waypoint_lowered(folder: Path) -> None:
 
 def _speed_changed(folder: Path) -> None:
     def faster(document: dict[str, Any]) -> None:
-        document["vehicles"][0]["speed_m_s"] = 7.5
+        for waypoint in document["vehicles"][0]["waypoints"][1:]:
+            waypoint["speed_m_s"] = 7.5
 
     change_json(folder / PLAN_NAME, faster)
 

@@ -80,7 +80,8 @@ def test_flown_as_predicted(autopilot: Autopilot, vehicle_class: VehicleClass, e
     if lands:
         assert flown.landed_s == pytest.approx(plan.trajectory.t_s[-1], abs=0.2)
         ground_amsl_m = _GROUND_AMSL_M if end == "land" else plan.home_m[2]
-        assert flown.trajectory.position_m[-1, 2] == pytest.approx(ground_amsl_m, abs=0.5)
+        # a plane is seen down within a fifth of a second, and sinks several metres in each
+        assert flown.trajectory.position_m[-1, 2] == pytest.approx(ground_amsl_m, abs=1.0)
     else:
         assert flown.landed_s is None
 

@@ -23,6 +23,10 @@ class _Vehicles:
         self.did: list[str] = []
         self._plan = plan
 
+    def compare_parameters(self, *_: Any) -> tuple[()]:
+        self.did.append("compare")
+        return ()
+
     def upload(self, progress: Any) -> None:
         self.did.append("upload")
 
@@ -41,7 +45,7 @@ def test_what_is_held_and_not_proven_is_refused_or_told(capsys: pytest.CaptureFi
     vehicles = _Vehicles(plan)
     with pytest.raises(InfeasibleError, match=r"what the vehicles hold is not proven: .*mast.*nothing was armed"):
         cli._transfer(cast("FleetLink", vehicles), there, plan, unproven=False)
-    assert vehicles.did == ["upload", "verify"]
+    assert vehicles.did == ["compare", "upload", "verify"]
     cli._transfer(cast("FleetLink", vehicles), there, plan, unproven=True)
-    assert vehicles.did[2:] == ["upload", "verify", "set_returns"]
+    assert vehicles.did[3:] == ["compare", "upload", "verify", "set_returns"]
     assert "UNPROVEN: what the vehicles hold is not proven: alpha: item 3: mast" in capsys.readouterr().err
