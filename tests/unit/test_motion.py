@@ -8,7 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from missionplanner.motion import TICK_S, Navigator, Route, landing_points, predict, return_points, takeoff_points
+from missionplanner.motion import (
+    TICK_S,
+    Navigator,
+    Route,
+    climbing_as_stated,
+    landing_points,
+    predict,
+    return_points,
+    takeoff_points,
+)
 from missionplanner.vehicle import ArducopterTuning, MotionModel
 
 COPTER = MotionModel("ardupilot", "copter", 2.5, 1.0, 2.5, 1.5, 2.0, 0.0)
@@ -217,7 +226,25 @@ def test_a_planes_takeoff_is_as_recorded() -> None:
 def test_a_planes_takeoff_ends_where_the_scene_expects_it(home_amsl_m: float, height_m: float) -> None:
     home, top = [0.0, 0.0, home_amsl_m], [0.0, 900.0, home_amsl_m + height_m]
     flight, _ = predict(PLANE, home, *takeoff_points(PLANE, home, top))
-    assert flight.position_m[-1, 1] == pytest.approx(PLANE.takeoff_distance_m(height_m, home_amsl_m), abs=8.0)
+    strong = replace(PLANE, climb_rate_m_s=12.0)  # all that it is: as steeply as its nose points
+    assert flight.position_m[-1, 1] == pytest.approx(strong.takeoff_distance_m(height_m, home_amsl_m), abs=8.0)
+    weak = climbing_as_stated(PLANE, home_amsl_m)
+    flight, _ = predict(weak, home, *takeoff_points(weak, home, top))
+    expected_m = PLANE.takeoff_distance_m(height_m, home_amsl_m)
+    assert 0.85 * expected_m <= flight.position_m[-1, 1] <= expected_m
+
+
+@pytest.mark.parametrize("rate_m_s", [3.0, 5.0])
+@pytest.mark.parametrize("home_amsl_m", [0.0, 2000.0])
+def test_a_plane_as_weak_as_stated_climbs_no_better(rate_m_s: float, home_amsl_m: float) -> None:
+    weak = climbing_as_stated(replace(PLANE, climb_rate_m_s=rate_m_s), home_amsl_m)
+    home, top = [0.0, 0.0, home_amsl_m], [0.0, 900.0, home_amsl_m + 250.0]
+    flight, _ = predict(weak, home, *takeoff_points(weak, home, top))
+    height_m = flight.position_m[:, 2] - home_amsl_m
+    high, low = (int(np.argmax(height_m >= h)) for h in (200.0, 50.0))
+    climbed_m_s = (height_m[high] - height_m[low]) / (flight.t_s[high] - flight.t_s[low])
+    assert 0.85 * rate_m_s <= climbed_m_s <= rate_m_s
+    assert climbing_as_stated(replace(PLANE, climb_rate_m_s=15.0), 0.0).plane == PLANE.plane
 
 
 def test_a_plane_lands_where_its_glide_meets_the_ground_and_rests() -> None:

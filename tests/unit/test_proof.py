@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 from adapters.sorties import plan_sortie
-from missionplanner import kernels, proof
+from missionplanner import kernels, proof, timing
 from missionplanner.certificate import Certificate, Finding
 from missionplanner.clearance import distance_to_legs_m, polyline_legs, tube_clearances
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
 from missionplanner.mission import Mission
+from missionplanner.motion import climbing_as_stated
 from missionplanner.motion.spline import spline_bezier
 from missionplanner.path_search import PlannedPath
 from missionplanner.plan import FleetPlan
@@ -724,10 +725,52 @@ def test_a_plane_climbs_over_nothing_that_it_cannot(x_m: float, clear: bool) -> 
     flown = Sortie("wing", 1, "ardupilot", "plane", np.array([0.0, 0.0, 100.0]), legs, "loiter", 3, 0.0, 100.0)
     certificate = proof.prove(there, [flown])
     assert found(certificate, "takeoff", "wing").proven is certificate.proven is clear
-    trajectory = proof.predict(there, [flown])[0].trajectory
-    climb_m = trajectory.position_m[trajectory.position_m[:, 0] > 200.0]
-    through_m = climb_m[:, 2] - there.terrain.height_amsl_m(climb_m[:, 0], climb_m[:, 1])
-    assert bool(through_m.min() > 0.0) is clear
+    # the predicted one, which is strong, flies over the hill; one that climbs as stated meets it
+    (task,) = there.tasks
+    for motion, over in ((task.motion, True), (climbing_as_stated(task.motion, 100.0), clear)):
+        trajectory, _ = timing.predict_flight(motion, flown.home_m, [leg.end_m for leg in legs], 18.0)
+        climb_m = trajectory.position_m[trajectory.position_m[:, 0] > 200.0]
+        through_m = climb_m[:, 2] - there.terrain.height_amsl_m(climb_m[:, 0], climb_m[:, 1])
+        assert bool(through_m.min() > 0.0) is over
+
+
+@pytest.mark.parametrize(("rate_m_s", "clear"), [(5.0, False), (12.0, True)])
+def test_a_plane_that_is_stated_to_climb_well_may_fly_over_more(rate_m_s: float, clear: bool) -> None:
+    hill = {"kind": "peaks", "base_alt_amsl_m": 100, "peaks": [{**at(600, 0), "height_m": 130, "spread_m": 80}]}
+    wing = {
+        "name": "wing",
+        "class": "plane",
+        "home": at(0, 0),
+        "goal": at(2600, 0, amsl=300),
+        "climb": {"rate_m_s": rate_m_s},
+    }
+    area = {"south_west": at(-900, -900), "north_east": at(4000, 900)}
+    asked = Mission.model_validate(question(wing, area=area, terrain=hill, fleet={"direct_return": "waived"}))
+    there = build_check_scene(asked, Path(), [])
+    legs = (leg(1800, 0, 300, seq=1, kind="takeoff"), leg(2600, 0, 300, speed_m_s=18.0))
+    flown = Sortie("wing", 1, "ardupilot", "plane", np.array([0.0, 0.0, 100.0]), legs, "loiter", 3, 0.0, 100.0)
+    certificate = proof.prove(there, [flown])
+    assert found(certificate, "takeoff", "wing").proven is clear
+    assert [verdict.kind for verdict in certificate.legs] == ["takeoff", "straight", "loiter"]
+    assert [verdict.seq for verdict in certificate.legs] == [1, 3, 3]
+
+
+@pytest.mark.parametrize("height_m", [30.0, 75.0, 110.0, 190.0])
+def test_between_a_weak_and_a_strong_climb_no_cable_may_hang(height_m: float) -> None:
+    # 400 m out the weak one is 80 m up, the strong one 140 m
+    posts = {name: at(400, y, amsl=100 + height_m) for name, y in (("start", -400), ("end", 400))}
+    cable = {"kind": "cable", "name": "line", **posts}
+    wing = {"name": "wing", "class": "plane", "home": at(0, 0), "goal": at(2600, 0, amsl=300)}
+    area = {"south_west": at(-900, -900), "north_east": at(4000, 900)}
+    terrain = {"kind": "flat", "alt_amsl_m": 100}
+    fleet = {"direct_return": "waived"}
+    asked = Mission.model_validate(question(wing, area=area, terrain=terrain, fleet=fleet, obstacles=[cable]))
+    there = build_check_scene(asked, Path(), [])
+    legs = (leg(1800, 0, 300, seq=1, kind="takeoff"), leg(2600, 0, 300, speed_m_s=18.0))
+    flown = Sortie("wing", 1, "ardupilot", "plane", np.array([0.0, 0.0, 100.0]), legs, "loiter", 3, 0.0, 100.0)
+    certificate = proof.prove(there, [flown])
+    assert found(certificate, "obstacle", "wing").proven is (height_m in (30.0, 190.0))
+    assert certificate.legs[0].proven is (height_m in (30.0, 190.0))
 
 
 @pytest.mark.parametrize("what", ["item 3", "home", "start delay and return height"])
@@ -1033,11 +1076,14 @@ def scene_with(known: Scene, obstacle: dict[str, Any]) -> Scene:
 def test_a_plane_that_turns_tighter_than_it_may_is_told() -> None:
     assert found(certified(scene(PLANE, area=WIDE), BENT, speed_m_s=18.0), "turn").proven
     there = scene(PLANE, area=WIDE)
-    limits = replace(there.tasks[0].limits, turn_radius_m=100.0)
-    strict = replace(there, tasks=(replace(there.tasks[0], limits=limits),))
+    assert "flown with a radius of at least 2" in found(certified(there, BENT, speed_m_s=18.0), "turn").detail
+    strict = scene({**PLANE, "turn_radius_m": 50}, area=WIDE)
     finding = found(certified(strict, BENT, speed_m_s=18.0), "turn")
     assert not finding.proven
-    assert "expected at least 100 m" in finding.detail
+    assert "expected at least 50 m" in finding.detail
+    assert "lower ROLL_LIMIT_DEG" in finding.remedy
+    gentle = {**PLANE, "turn_radius_m": 50, "parameters": {"ROLL_LIMIT_DEG": 30}}
+    assert found(certified(scene(gentle, area=WIDE), BENT, speed_m_s=18.0), "turn").proven
 
 
 # --- the certificate as data

@@ -254,9 +254,12 @@ def test_a_plane_is_anywhere_beside_its_way_home() -> None:
     held = alpha.trajectory.t_s < alpha.descends_s  # nobody lands it
     t_s, position_m = alpha.trajectory.t_s[held], alpha.trajectory.position_m[held]
     alpha = replace(alpha, trajectory=Trajectory(t_s, position_m))
-    # two turn radii, and at its end it may be anywhere on its circle; mast, margin and tube are 15 m
-    beside = {y: space_of([CylinderSolid("mast", 150.0, y, 3.0, 190.0)]) for y in (90.0, 100.0)}
-    assert {y: proven(world, [alpha], [60.0])["alpha"] for y, world in beside.items()} == {90.0: False, 100.0: True}
+    # as far aside as it turns, and at its end it may be anywhere on its circle; mast, margin and tube are 15 m
+    wide = alpha.aside_m + 15.0
+    beside = {
+        y: space_of([CylinderSolid("mast", 150.0, y, 3.0, 190.0)]) for y in (wide, wide + 2.0 * alpha.circled_m + 5.0)
+    }
+    assert [proven(world, [alpha], [60.0])["alpha"] for world in beside.values()] == [False, True]
     # as low as the lower of both, as high as the higher
     below = space_of([CylinderSolid("mast", 150.0, 0.0, 3.0, 147.0)])
     assert proven(below, [alpha], [60.0])["alpha"]

@@ -129,8 +129,11 @@ def test_a_plane_climbs_towards_its_first_point() -> None:
     wide = {"south_west": at(-300, -300), "north_east": at(800, 400)}
     (task,) = scene_of(flying({**plane, "home": at(500, 0)}, area=wide)).tasks  # straight below its goal
     assert task.route_m[0, 1] == pytest.approx(50 / math.tan(math.radians(10)))
-    (task,) = scene_of(flying({**plane, "climb": {"angle_max_deg": 45}})).tasks  # rolls, then climbs its steepest
+    strong = {"angle_max_deg": 45, "rate_m_s": 12}
+    (task,) = scene_of(flying({**plane, "climb": strong})).tasks  # rolls, then climbs its steepest
     assert task.route_m[0, 0] == pytest.approx(37.0 + 50 / math.tan(math.radians(20)), rel=0.02)
+    (task,) = scene_of(flying({**plane, "climb": {"angle_max_deg": 45, "rate_m_s": 6}})).tasks  # or as stated
+    assert task.route_m[0, 0] == pytest.approx(37.0 + 50 * 22 / 6, rel=0.03)
 
 
 def test_a_planes_circle_must_be_clear() -> None:
@@ -435,7 +438,10 @@ def test_a_planes_climb_out_must_outrun_the_ground(tmp_path: Path) -> None:
     plane = {"class": "plane", "home": at(0, 0), "goal": at(600, 0, agl=80), "takeoff_height_m": 60}
     problem = problem_of(on_the_hill(plane), tmp_path)
     assert "top of the take-off, the climb to it from home: expected the ground to fall behind" in problem
-    scene_of(on_the_hill({**plane, "climb": {"angle_max_deg": 45}, "home": at(-80, 0)}), tmp_path)
+    strong = {"angle_max_deg": 45, "rate_m_s": 10}
+    scene_of(on_the_hill({**plane, "climb": strong, "home": at(-80, 0)}), tmp_path)
+    problem = problem_of(on_the_hill({**plane, "climb": {**strong, "rate_m_s": 5}, "home": at(-80, 0)}), tmp_path)
+    assert "expected the ground to fall behind" in problem
 
 
 def test_homes_and_landing_places_are_on_ground_to_land_on(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 
@@ -114,7 +115,9 @@ def test_heights_of_the_way_home() -> None:
     copter, plane = (motion_model(settings(**{"class": kind})) for kind in ("copter", "plane"))
     assert [copter.return_alt_amsl_m(alt, 100.0) for alt in (105.0, 300.0)] == [115.0, 300.0]
     assert [plane.return_alt_amsl_m(alt, 100.0) for alt in (105.0, 300.0)] == [200.0, 200.0]
-    assert plane.takeoff_distance_m(60.0, 584.0) == pytest.approx(197.0, abs=6.0)  # recorded
+    strong = replace(plane, climb_rate_m_s=12.0)
+    assert strong.takeoff_distance_m(60.0, 584.0) == pytest.approx(197.0, abs=6.0)  # recorded
+    assert plane.takeoff_distance_m(60.0, 0.0) == pytest.approx(37.0 + 60.0 * 22.0 / 5.0, rel=0.02)
     assert plane.takeoff_distance_m(60.0, 2000.0) > plane.takeoff_distance_m(60.0, 584.0)
 
 
