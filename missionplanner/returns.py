@@ -296,7 +296,14 @@ def stopping_region(v: Returning, p: FloatArray) -> tuple[FloatArray, FloatArray
     climb = np.maximum(behind[:, 2], ahead[:, 2])
     sink = np.minimum(behind[:, 2], ahead[:, 2])
     lift = _CLIMB_KEPT * np.maximum(sink, 0.0) / np.maximum(speed, _SLOW_M_S) * np.where(slow, 0.0, distance)
-    return stop, swing, _overrun_m(motion, np.maximum(-sink, 0.0)), _overrun_m(motion, np.maximum(climb, 0.0)), lift
+    braking_s = np.where(
+        slow, 0.0, 0.5 * speed / brakes_m_s2 + lag_s
+    )  # it stops along its leg, and so climbs meanwhile
+    drop, rise = (
+        np.maximum(_overrun_m(motion, rate), rate * braking_s)
+        for rate in (np.maximum(-sink, 0.0), np.maximum(climb, 0.0))
+    )
+    return stop, swing, drop, rise, lift
 
 
 def _target_stopping_m(commanded_m_s: float, a_m_s2: float, jerk_m_s3: float, lag_s: float) -> float:
