@@ -46,6 +46,8 @@ _CHORD_TICKS = 2  # planes pull 3 g, and 5 as they lift off
 CHORD_ERROR_M = 0.04
 """Chords of 0.1 s of a predicted flight are at most so far off it at 32 m/s^2."""
 _ANGLE_SLACK_RAD = 1e-5
+_WIND_DIRECTIONS = 8  # from which the strongest wind blows where planes are held to their tubes in it
+_WIND_TICKS = 4
 _RECORDED_M_S = 10.5
 _JOINED_M, _JOINED_S = 1.0, 10.0  # two climb-outs are one again once they have stayed so near for so long
 _RUNG_M = 1.0
@@ -787,6 +789,8 @@ def _in_wind(scene: Scene, flight: Flight, tubes: Sequence[_Tube]) -> list[Findi
         )
         remedy = "" if drift_m <= allowed_m else "fly in less wind, or state a greater tracking_error_m"
         findings.append(Finding("takeoff", sortie.name, not remedy, detail, remedy, drift_m, allowed_m))
+    if motion.vehicle_class == "plane" and task.limits.wind_max_m_s > math.hypot(*motion.wind_m_s):
+        findings.append(_in_strongest_wind(scene, flight))
     circles = not flight.timed and not sortie.gaps  # what is not understood is refused for that
     if wind.calm(motion):
         curved = any(leg.kind == "spline" for leg in sortie.legs)
@@ -806,6 +810,33 @@ def _in_wind(scene: Scene, flight: Flight, tubes: Sequence[_Tube]) -> list[Findi
     waived = scene.mission.fleet.direct_return == "waived" and sortie.ending != "rtl"
     findings.append(_home_against_the_wind(flight, waived=waived))
     return findings
+
+
+def _in_strongest_wind(scene: Scene, flight: Flight) -> Finding:
+    """Return whether a plane stays in its tube in more wind than it is predicted in: the strongest, from all around."""
+    name, limits = flight.sortie.name, flight.task.limits
+    strongest_m_s, until_s = limits.wind_max_m_s, float(flight.trajectory.t_s[-1])
+    tree = cKDTree(flight.trajectory.position_m)  # a metre apart
+    allowed_m = limits.tube_m - limits.position_error_m
+    worst_m, worst_deg = 0.0, 0.0
+    for from_deg in np.arange(0.0, 360.0, 360.0 / _WIND_DIRECTIONS).tolist():
+        from_rad = math.radians(from_deg)
+        air_m_s = (-strongest_m_s * math.sin(from_rad), -strongest_m_s * math.cos(from_rad))
+        try:
+            flown, _ = _flown(scene, replace(flight.task.motion, wind_m_s=air_m_s), flight.sortie, until_s)
+        except InfeasibleError:
+            detail = f"cannot fly its mission in {strongest_m_s:g} m/s of wind from {from_deg:g} degrees (wind_max_m_s)"
+            return Finding("speed", name, False, detail, "fly in less wind, or faster")
+        off_m = float(tree.query(flown.position_m[::_WIND_TICKS])[0].max())
+        if off_m > worst_m:
+            worst_m, worst_deg = off_m, from_deg
+    near = worst_m <= allowed_m
+    detail = (
+        f"is up to {worst_m:.1f} m off its predicted flight in {strongest_m_s:g} m/s of wind (wind_max_m_s) from "
+        f"{worst_deg:g} degrees, allowed {allowed_m:g} m"
+    )
+    remedy = "" if near else "state the wind (wind), or a greater tracking_error_m, or allow for less (wind_max_m_s)"
+    return Finding("speed", name, near, detail, remedy, worst_m, allowed_m)
 
 
 def _unpredicted(flight: Flight, air: str) -> Finding:
@@ -1181,7 +1212,8 @@ def _winds_told(scene: Scene) -> list[str]:
             f"flights are predicted in a steady wind of {known.speed_m_s:g} m/s from {known.from_deg:g} degrees"
         )
     if known is None or strongest_m_s is not None:
-        lines.append(f"wind of at most {strongest_m_s or 0.0:g} m/s")
+        covered = ": energy, braking and ways home allow for it, times do not" if strongest_m_s else ""
+        lines.append(f"wind of at most {strongest_m_s or 0.0:g} m/s{covered}")
     return lines
 
 
