@@ -310,8 +310,9 @@ class FleetLink:
     ) -> FleetFlight:
         """Record until every vehicle has ended its mission: landed, or arrived where it is to stay.
 
-        With a ``pacer`` (of the plan's vehicles, in order) it is watched how late they are; and speeds are commanded,
-        if the pacer may correct. ``tell`` hears of each.
+        However it ends, vehicles that were stopped to lose time are let go on. With a ``pacer`` (of the plan's
+        vehicles, in order) it is watched how late they are; and speeds are commanded, if the pacer may correct.
+        ``tell`` hears of each.
 
         Raises
         ------
@@ -319,15 +320,32 @@ class FleetLink:
             A vehicle did not start when its delay was over, was not heard for a minute, restarted in flight, or takes
             far longer than planned, once the others have ended theirs. :meth:`flight` has what was recorded.
         """
+        try:
+            self._watch(progress, pacer, tell)
+        except BaseException as error:  # of whatever kind: nobody watches the stopped ones now
+            standing = self._let_go(tell)
+            if standing and isinstance(error, LinkError):
+                raise LinkError(f"{error}; {standing}") from error
+            if standing and tell is not None:
+                tell(standing)
+            raise
+        standing = self._let_go(tell)
+        if standing:
+            raise LinkError(standing)
+        return self.flight()
+
+    def _watch(self, progress: WatchProgress | None, pacer: Pacer | None, tell: Told | None) -> None:
         assert self._start_s is not None, "start first"
         longest_s = max(float(vehicle.plan.trajectory.t_s[-1]) for vehicle in self._vehicles.values())
         give_up_s = self._start_s + 2.0 * longest_s + 2.0 * _LOST_S
+        release_s = give_up_s - longest_s  # enough to fly all of it
         shown_s = -math.inf
         vehicles = list(self._vehicles.values())
 
         def sighting(i: int, now_s: float) -> Sighting | None:
             return None if vehicles[i].plan.sysid in self._grounded else vehicles[i].sighting(now_s)
 
+        self._keeper = None
         if pacer is not None:
             self._keeper = PaceKeeper(pacer, self._station, vehicles, sighting, self._log, tell)
         while True:
@@ -335,6 +353,12 @@ class FleetLink:
             now_s = self._clock.now_s()
             self._start_those_due(tell)
             if self._keeper is not None:
+                if now_s > release_s and math.isfinite(release_s):
+                    release_s = math.inf
+                    self._keeper.stop_no_more()
+                    standing = self._let_go(tell)
+                    if standing and tell is not None:
+                        tell(standing)
                 self._keeper.step(now_s)
             ended = not self._later and all(
                 k in self._grounded or vehicle.ended or vehicle.lost(now_s) for k, vehicle in self._vehicles.items()
@@ -352,7 +376,21 @@ class FleetLink:
         ]
         if failures:
             raise joined(failures)
-        return self.flight()
+
+    def _let_go(self, tell: Told | None) -> str:
+        """Let vehicles go on that stand by our command; return what is to be said of those that did not confirm."""
+        if self._keeper is None or not self._keeper.stopped:
+            return ""
+        names = [vehicle.plan.name for k, vehicle in enumerate(self._vehicles.values()) if k in self._keeper.stopped]
+        try:
+            names = self.release()
+        except LinkError as failure:
+            return str(failure)
+        except Exception as failure:  # of the links themselves: the error that ended the watch is told as well
+            return f"{', '.join(names)} may stand by our command ({failure}): take over by hand"
+        if tell is not None:
+            tell(f"{', '.join(names)} stood to lose time, and told to go on")
+        return ""
 
     def _start_those_due(self, tell: Told | None) -> None:
         """Go on with the starts that are still to come; who does not start stays where it is, the others fly on."""
@@ -412,16 +450,26 @@ class FleetLink:
         LinkError
             A vehicle does not confirm: it stands until somebody takes over.
         """
-        stopped = [] if self._keeper is None else [list(self._vehicles.values())[i] for i in self._keeper.stopped]
+        keeper = self._keeper
+        if keeper is None:
+            return []
+        vehicles = list(self._vehicles.values())
+        stopped = {i: vehicles[i] for i in sorted(keeper.stopped)}
         self._station.together(
-            {vehicle.plan.sysid: self._going_on(vehicle) for vehicle in stopped}, after_failure="take over"
+            {vehicle.plan.sysid: self._going_on(keeper, i, vehicle) for i, vehicle in stopped.items()},
+            after_failure="take over by hand",
         )
-        return [vehicle.plan.name for vehicle in stopped]
+        return [vehicle.plan.name for vehicle in stopped.values()]
 
-    def _going_on(self, vehicle: _Vehicle) -> Steps:
-        result = yield from self._station.commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
+    def _going_on(self, keeper: PaceKeeper, i: int, vehicle: _Vehicle) -> Steps:
+        try:
+            result = yield from self._station.commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
+        except LinkError as failure:
+            vehicle.command = None
+            raise LinkError(f"{failure}: it may stand by our command") from failure
         if result != mavlink.MAV_RESULT_ACCEPTED:
             raise vehicle.error(f"stands, and refused to go on{vehicle.said(self._clock.now_s())}")
+        keeper.went_on(i)
 
     # what goes on with one vehicle, each a generator that yields whenever it waits
 

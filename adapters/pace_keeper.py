@@ -48,7 +48,6 @@ class PaceKeeper:
     ) -> None:
         self.advice: Advice | None = None
         self.corrections: list[Correction] = []
-        self.stopped: set[int] = set()  # vehicles that wait for a command to go on
         self._pacer = pacer
         self._station = station
         self._peers = peers
@@ -60,6 +59,23 @@ class PaceKeeper:
         self._sight_due_s = self._think_due_s = -math.inf
         self._remarks: tuple[str, ...] = ()
         self._history: list[list[tuple[float, float, float]]] = [[] for _ in peers]
+
+    @property
+    def stopped(self) -> frozenset[int]:
+        """The vehicles that wait for a command to go on, or may: they did not answer."""
+        return self._pacer.stopped
+
+    def went_on(self, i: int) -> None:
+        """Take note that vehicle i was let go on by somebody else."""
+        self._pacer.went_on(i)
+
+    def stop_no_more(self) -> None:
+        """Command no stops from now on."""
+        self._pacer.hold = False
+
+    def ground(self, i: int) -> None:
+        """Take note that vehicle i will not start any more."""
+        self._pacer.ground(i)
 
     def step(self, now_s: float) -> None:
         """Take in what is known, think when it is time, and go on with what is being commanded."""
@@ -137,13 +153,13 @@ class PaceKeeper:
         order = f"{trim.name}: {what} at {t_s:.0f} s, {trim.why}"
         if obeyed:
             self._pacer.obeyed(trim, t_s)
-            self.stopped -= {trim.vehicle}
-            if trim.to_m_s == 0.0:
-                self.stopped.add(trim.vehicle)
             self._say(order, now_s)
             return
         answer = "it did not answer" if result is None else f"it refused (MAV_RESULT {result})"
-        alone = "; it is left at its speed from now on" if self._pacer.refused(trim, t_s) else ""
+        left = self._pacer.refused(trim, t_s, answered=result is not None)
+        alone = "; it is left at its speed from now on" if left else ""
+        if result is None and trim.to_m_s == 0.0:
+            alone = "; it may stand, and is told to go on in time"
         if goes_on:
             alone = "; it stands, and is asked again: be ready to take over"
         self._say(f"{order}: {answer}{alone}", now_s)

@@ -53,6 +53,10 @@ class Rules:
     """Copters that are earlier than this even at their least speed are stopped for a while, where that is allowed."""
     hold_before_s: float = 300.0
     """Not much earlier than so long before the goal: until then, it may turn out to be unnecessary."""
+    start_s: float = 20.0
+    """Nobody waits longer for who does not lift off ..."""
+    stand_s: float = 60.0
+    """... or stands for so long where it should not."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -305,9 +309,9 @@ def airspeed_max_m_s(model: MotionModel, alt_amsl_m: float, speed_m_s: float) ->
 # One vehicle.
 
 
-State = Literal["waiting", "climbing", "flying", "holding", "paused", "away", "unheard", "arrived"]
-"""Waiting: has not left the ground; holding: as its mission wants, paused: as it does not; away: in another mode than
-its mission's; unheard: nobody knows where it is."""
+State = Literal["grounded", "waiting", "climbing", "flying", "holding", "paused", "away", "unheard", "arrived"]
+"""Grounded: will not start any more; waiting: has not left the ground; holding: as its mission wants, paused: as it
+does not; away: in another mode than its mission's; unheard: nobody knows where it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -381,7 +385,10 @@ class _Tracked:
     failures: int = 0
     held_s: float | None = None  # since when it holds where its mission wants it
     bounds: tuple[tuple[float, float], tuple[float, float]] | None = None  # of its scale, and the wind they hold in
-    stopped_s: float | None = None  # until when it is to stand, by our command
+    stopped_s: float | None = None  # until when it is to stand, by our command (or it may: it did not answer)
+    overdue_s: float | None = None  # since when it is to go on
+    grounded: bool = False  # will not start any more
+    stands: tuple[float, FloatArray] | None = None  # since when, and where, it has hardly moved
     moves: deque[tuple[float, int, FloatArray]] = field(default_factory=lambda: deque(maxlen=64))
     felt: deque[Gust] = field(default_factory=lambda: deque(maxlen=120))
     ways: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=24))  # taken, predicted (s)
@@ -402,6 +409,7 @@ _KEPT_FLIGHTS = 12
 _LIFTED_OFF = 0.02  # share of the climb to the first waypoint
 _STILL_M_S = 0.4
 _STILL_S = 4.0
+_MOVED_M = 3.0  # hovering, a copter strays less
 _STEADY_S = 3.0
 _STEADY_M_S = 0.4
 _HELD_UP_M_S = 0.4
@@ -446,7 +454,7 @@ class Pacer:
     ) -> None:
         self.rules = rules or Rules()
         self.correct = correct
-        self._hold = hold
+        self.hold = hold
         self._required_m = required_m
         self._together = together
         self._tracked = [_Tracked(course) for course in courses]
@@ -478,6 +486,11 @@ class Pacer:
         tracked.place = place_of(tracked.course, sighting.waypoint, tracked.seen.position_m)
         held = holds_at(tracked.course, tracked.place)
         tracked.held_s = (tracked.seen.t_s if tracked.held_s is None else tracked.held_s) if held else None
+        away_m = math.inf if tracked.stands is None else math.dist(tracked.seen.position_m, tracked.stands[1])
+        if held or (away_m > _MOVED_M and not (tracked.seen.paused and tracked.stands is not None)):
+            tracked.stands = (tracked.seen.t_s, np.array(tracked.seen.position_m, dtype=float))
+        if not sighting.in_mission or self._goes_on(tracked):  # somebody else has let it go on
+            tracked.stopped_s = tracked.overdue_s = None
         speeds = tracked.course.speed_m_s
         leg = tracked.place.leg
         if 0 < leg <= len(speeds) and tracked.factor_leg > 0 and speeds[leg - 1] != speeds[tracked.factor_leg - 1]:
@@ -487,6 +500,7 @@ class Pacer:
         """Take note that a speed was accepted."""
         tracked = self._tracked[trim.vehicle]
         tracked.stopped_s = t_s + trim.stop_s if trim.to_m_s == 0.0 else None
+        tracked.overdue_s = None
         tracked.factor = trim.factor
         tracked.factor_leg = 0 if tracked.place is None else min(tracked.place.leg, len(tracked.course.speed_m_s))
         tracked.lost = False
@@ -494,13 +508,33 @@ class Pacer:
         tracked.due_s = t_s + self.rules.interval_s
         tracked.before = None
 
-    def refused(self, trim: Trim, t_s: float) -> bool:
-        """Take note that a speed was refused or not answered; True: this vehicle is now left alone."""
+    @property
+    def stopped(self) -> frozenset[int]:
+        """Who stands by our command, or may: each waits for a command to go on."""
+        return frozenset(k for k, tracked in enumerate(self._tracked) if tracked.stopped_s is not None)
+
+    def went_on(self, vehicle: int) -> None:
+        """Take note that a stopped vehicle was let go on."""
+        self._tracked[vehicle].stopped_s = self._tracked[vehicle].overdue_s = None
+
+    def ground(self, vehicle: int) -> None:
+        """Take note that a vehicle will not start any more: nobody waits for it, but it stands in the way."""
+        self._tracked[vehicle].grounded = True
+
+    def refused(self, trim: Trim, t_s: float, *, answered: bool = True) -> bool:
+        """Take note that a speed was refused or not answered; True: this vehicle is now left alone.
+
+        Who does not answer a stop may have obeyed it: it is taken to stand until it is seen to fly.
+        """
         tracked = self._tracked[trim.vehicle]
         tracked.due_s = t_s + self.rules.interval_s
+        if not answered and trim.to_m_s == 0.0:
+            tracked.stopped_s, tracked.overdue_s = t_s + trim.stop_s, None
+            tracked.failures += 1
+            return tracked.failures >= self.rules.tries
+        tracked.failures += 1
         if tracked.stopped_s is not None:  # it must go on, however often it is asked
             return False
-        tracked.failures += 1
         return tracked.failures >= self.rules.tries
 
     def deliberate(self) -> Generator[None, None, Advice]:
@@ -515,16 +549,19 @@ class Pacer:
         for tracked in self._tracked:
             paces.append(self._pace(tracked))
             yield
-        delays = self._delays(paces)
+        out = [self._left_out(tracked, pace) for tracked, pace in zip(self._tracked, paces, strict=True)]
+        delays = self._delays([pace for pace, why in zip(paces, out, strict=True) if not why], paces)
         stopped = [tracked.stopped_s is not None for tracked in self._tracked]
         remarks = [self._remark(pace, stopped=still) for pace, still in zip(paces, stopped, strict=True)]
         trims: tuple[Trim, ...] = ()
         hindered = next((r for r, p in zip(remarks, paces, strict=True) if r and p.state in ("away", "unheard")), None)
-        if delays is not None and self.correct:
+        remarks += out
+        if self.correct:
             trims, problem = self._going_on(paces, delays)
             remarks.append(problem)
         if delays is not None and self.correct and hindered is None and not trims:
-            trims, problem = yield from self._corrections(paces, delays)
+            ready = [k for k, pace in enumerate(paces) if not out[k] and self._may_trim(k, pace)]
+            trims, problem = yield from self._corrections(paces, delays, ready)
             remarks.append(problem)
             if not trims:
                 trims = yield from self._stops(paces, delays)
@@ -542,6 +579,8 @@ class Pacer:
 
     def _state(self, tracked: _Tracked) -> State:
         seen, place = tracked.seen, tracked.place
+        if tracked.grounded:
+            return "grounded"
         if seen is None or place is None:
             return "unheard"
         if place.leg >= len(tracked.course.waypoints_m) or seen.arrival_s is not None:
@@ -554,6 +593,8 @@ class Pacer:
             return "away"
         if place.leg == 0:
             return "climbing"
+        if tracked.stopped_s is not None:  # however it sways
+            return "paused"
         if tracked.held_s is not None:
             return "holding"
         return "paused" if seen.paused or self._stands(tracked) else "flying"
@@ -568,9 +609,37 @@ class Pacer:
             return False
         return all(float(np.linalg.norm(velocity)) < _STILL_M_S for _, _, velocity in recent)
 
+    def _goes_on(self, tracked: _Tracked) -> bool:
+        """Whether a vehicle that was to stand is seen to fly."""
+        assert tracked.seen is not None
+        if tracked.stopped_s is None or tracked.seen.paused or tracked.seen.t_s < tracked.due_s:
+            return False
+        last_s = tracked.moves[-1][0]
+        recent = [move for move in tracked.moves if move[0] >= last_s - _STILL_S]
+        if last_s - recent[0][0] < 0.8 * _STILL_S:
+            return False
+        return float(np.linalg.norm(np.mean([move[2] for move in recent], axis=0))) > 0.5 * tracked.course.speed_min_m_s
+
+    def _left_out(self, tracked: _Tracked, pace: Pace) -> str:
+        """Return why the others wait no longer for a vehicle; nothing: they do."""
+        course, seen = tracked.course, tracked.seen
+        if pace.state == "grounded":
+            return f"{course.name} does not start: the others fly on without it"
+        if seen is None or tracked.stands is None or pace.state in ("arrived", "unheard", "away", "holding"):
+            return ""
+        if pace.state == "waiting":
+            late = seen.t_s > course.start_s + self.rules.start_s
+            return f"{course.name} does not lift off: the others wait no longer for it" if late else ""
+        if course.model.vehicle_class == "plane" and not seen.paused:
+            return ""
+        since_s = tracked.overdue_s if tracked.stopped_s is not None else tracked.stands[0]
+        if since_s is None or seen.t_s <= since_s + self.rules.stand_s:
+            return ""
+        return f"{course.name} has stood too long: the others wait no longer for it"
+
     def _pace(self, tracked: _Tracked) -> Pace:
         course, seen, state = tracked.course, tracked.seen, self._state(tracked)
-        if seen is None or tracked.place is None:
+        if seen is None or tracked.place is None or state == "grounded":
             return Pace(course.name, state, None, course.arrival_s, None, None, None, None, None)
         speed_m_s = None
         if 0 < tracked.place.leg <= len(course.speed_m_s) and not tracked.lost:
@@ -752,9 +821,9 @@ class Pacer:
 
     # -- the fleet --------------------------------------------------------------------------------------------------
 
-    def _delays(self, paces: Sequence[Pace]) -> list[float] | None:
+    def _delays(self, awaited: Sequence[Pace], paces: Sequence[Pace]) -> list[float] | None:
         """Return by how much each shall arrive later than planned; None: nobody is left to be brought together."""
-        taking_part = [p for p in paces if p.arrival_s is not None and p.state not in ("away", "unheard")]
+        taking_part = [p for p in awaited if p.arrival_s is not None and p.state not in ("away", "unheard")]
         if all(p.state == "arrived" for p in taking_part):
             return None
         if not self._together:
@@ -765,10 +834,9 @@ class Pacer:
         return [common_delay(free, [_less(p.arrival_s, p) for p in fixed])] * len(paces)
 
     def _corrections(
-        self, paces: Sequence[Pace], delays: Sequence[float]
+        self, paces: Sequence[Pace], delays: Sequence[float], ready: Sequence[int]
     ) -> Generator[None, None, tuple[tuple[Trim, ...], str]]:
         """Return the speeds to command, all remaining flights under them proven apart, or what stands against it."""
-        ready = [k for k, pace in enumerate(paces) if self._may_trim(k, pace)]
         wanting = [k for k in ready if self._misses(paces[k], delays[k]) or self._tracked[k].lost]
         if not wanting:
             return (), ""
@@ -789,7 +857,7 @@ class Pacer:
 
     def _stops(self, paces: Sequence[Pace], delays: Sequence[float]) -> Generator[None, None, tuple[Trim, ...]]:
         """Return who is to stop because it cannot fly slowly enough, proven apart."""
-        if not self._hold:
+        if not self.hold:
             return ()
         for k, pace in enumerate(paces):
             tracked = self._tracked[k]
@@ -814,17 +882,18 @@ class Pacer:
                 return (Trim(k, pace.name, speed_m_s, 0.0, tracked.factor, why, stop_s=wait_s),)
         return ()
 
-    def _going_on(self, paces: Sequence[Pace], delays: Sequence[float]) -> tuple[tuple[Trim, ...], str]:
+    def _going_on(self, paces: Sequence[Pace], delays: Sequence[float] | None) -> tuple[tuple[Trim, ...], str]:
         """Return who has stood long enough, and what keeps it from going on."""
         for k, pace in enumerate(paces):
             tracked = self._tracked[k]
             if tracked.stopped_s is None or pace.state != "paused" or pace.at_s is None or pace.at_s < tracked.due_s:
                 continue
-            wait_s = self._wait_s(tracked, pace, delays[k])
+            wait_s = 0.0 if delays is None else self._wait_s(tracked, pace, delays[k])
             tracked.stopped_s = pace.at_s + wait_s
             if wait_s > 0.0:
                 continue
-            tight = self._too_close({}, _ROOM_S)
+            tracked.overdue_s = pace.at_s if tracked.overdue_s is None else tracked.overdue_s
+            tight = self._too_close({}, _ROOM_S, going_on=k)
             if tight is not None:
                 return (), f"{pace.name} stands longer: going on now would bring {tight}"
             speed_m_s = float(tracked.course.speeds(tracked.factor)[self._leg(tracked)])
@@ -932,22 +1001,36 @@ class Pacer:
         return max(self._lateness_s, min(self.rules.lateness_s, 0.9 * self._slack_s))
 
     def _too_close(
-        self, factors: Mapping[int, float], needed_s: float, stops_s: Mapping[int, float] | None = None
+        self,
+        factors: Mapping[int, float],
+        needed_s: float,
+        stops_s: Mapping[int, float] | None = None,
+        going_on: int | None = None,
     ) -> str | None:
         """Return who would come too close to whom under new scales; None: all keep apart, with room in time.
 
-        Vehicles in ``stops_s`` stand still for so long first.
+        Vehicles in ``stops_s`` stand still for so long first; ``going_on`` stands no more.
         """
         flights: list[Trajectory] = []
         whose: list[int] = []
         for k, tracked in enumerate(self._tracked):
+            if tracked.grounded:
+                whose.append(k)
+                stands_m = tracked.course.home_m if tracked.seen is None else tracked.seen.position_m
+                flights.append(Trajectory(np.zeros(1), np.array(stands_m, dtype=float)[None]))
+                continue
             if tracked.seen is None:
                 continue
             whose.append(k)
             ahead = self._ahead(tracked, factors.get(k, tracked.factor))
             stopped_s = 0.0 if tracked.stopped_s is None else tracked.stopped_s - tracked.seen.t_s
             flights.append(_after_stop(ahead, (stops_s or {}).get(k, stopped_s)))
-            if tracked.stopped_s is None and self._state(tracked) in ("waiting", "paused"):  # nobody knows how long
+            unsure = tracked.stopped_s is not None and tracked.failures > 0  # whether it stands, and until when
+            if unsure and k != going_on:
+                whose.append(k)
+                flights.append(ahead)
+            still = tracked.stopped_s is None and self._state(tracked) in ("waiting", "paused")  # nobody knows how long
+            if (still or unsure) and k != going_on:
                 whose.append(k)
                 position_m = np.array(tracked.seen.position_m, dtype=float)
                 flights.append(Trajectory(np.array([tracked.seen.t_s]), position_m[None]))
