@@ -1066,7 +1066,15 @@ def returning(flight: Flight) -> Returning:
         airborne_s=min(float(flight.reached_s[0]), math.nextafter(flight.descends_s, -math.inf)),
         descends_s=flight.descends_s,
         commanded_m_s=max(leg.speed_m_s for leg in flight.sortie.legs[1:] or flight.sortie.legs),
+        circles_at_m=_circles_at_m(flight.sortie),
     )
+
+
+def _circles_at_m(sortie: Sortie) -> FloatArray | None:
+    """Return the middle of the circle that a plane flies at its end."""
+    if sortie.vehicle_class != "plane":
+        return None
+    return sortie.legs[-1].end_m if sortie.ending == "loiter" else sortie.home_m
 
 
 def _returns(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:

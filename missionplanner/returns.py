@@ -133,6 +133,7 @@ class Returning:
     airborne_s: float
     descends_s: float
     commanded_m_s: float = 0.0  # the fastest of its legs
+    circles_at_m: FloatArray | None = None  # planes: the middle of the circle at its end; None: not known
 
     @property
     def circled_m(self) -> float:
@@ -235,7 +236,10 @@ def _track(v: Returning, ticks: int) -> _Track:
     if only_at_end:
         state[before & ~after] = _ABSENT
     if plane:
-        stop, swing = p[:, :2].copy(), np.where(t > end_s, 2.0 * v.circled_m, 0.0)
+        if v.circles_at_m is not None:
+            p[t > end_s, :2] = v.circles_at_m[:2]
+        wide_m = v.circled_m if v.circles_at_m is not None else 2.0 * v.circled_m
+        stop, swing = p[:, :2].copy(), np.where(t > end_s, wide_m, 0.0)
         low = high = p[:, 2]
         lift = np.zeros(len(t))
     else:
