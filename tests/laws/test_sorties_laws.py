@@ -38,13 +38,16 @@ def plans(draw: st.DrawFn) -> VehiclePlan:
     climb_m = draw(st.floats(2.6, 500))  # MIS_TAKEOFF_ALT
     aside_m = 0.0 if vehicle_class == "copter" else draw(st.floats(2.0, 900))
     top = (home[0] + aside_m, home[1], home[2] + climb_m)
+    waypoints_m = [top, *draw(st.lists(points, min_size=1, max_size=7))]
+    slowest_m_s = 0.3 if vehicle_class == "copter" else 9.0  # AIRSPEED_MIN
+    within_a_day_m_s = float(np.linalg.norm(np.diff(waypoints_m, axis=0), axis=1).sum()) / 86_000.0
     return vehicle_plan(
         autopilot=draw(autopilots),
         vehicle_class=vehicle_class,
         end=draw(st.sampled_from(ends)),
         home_m=home,
-        waypoints_m=[top, *draw(st.lists(points, min_size=1, max_size=7))],
-        speed_m_s=draw(st.floats(0.3 if vehicle_class == "copter" else 9.0, 30)),  # AIRSPEED_MIN
+        waypoints_m=waypoints_m,
+        speed_m_s=draw(st.floats(max(slowest_m_s, within_a_day_m_s), 30)),
         start_delay_s=draw(st.floats(0, 100)),
     )
 
