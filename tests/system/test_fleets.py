@@ -52,8 +52,8 @@ def test_all_four_kinds_arrive_together(copters_end: str, planes_end: str) -> No
         question(
             copter("ac", (0, 0), (900, 40), end=copters_end),
             copter("pc", (0, 100), (900, 140), end=copters_end, autopilot="px4"),
-            copter("ap", (-400, -300), (1700, -300), stops=[at(500, -600, agl=80)], **planes),
-            copter("pp", (-400, 400), (1700, 500), stops=[at(500, 800, agl=80)], autopilot="px4", **planes),
+            copter("ap", (-400, -380), (1700, -380), stops=[at(500, -600, agl=80)], **planes),
+            copter("pp", (-400, 480), (1700, 580), stops=[at(500, 800, agl=80)], autopilot="px4", **planes),
             obstacles=[{**_MAST, "center": at(500, 55)}],
         )
     )
