@@ -26,6 +26,7 @@ from adapters.ground_station import (
     Station,
     Steps,
     TransferProgress,
+    Waiting,
     WallClock,
     joined,
 )
@@ -104,6 +105,7 @@ _ARM_EARLY_S = 4.0  # before a delayed start
 _LOST_S = 60.0
 _RETURNED_M = 90.0  # beyond its circle, within which a plane has come home
 _PROGRESS_S = 0.5
+_HEARTBEAT_S = 1.5
 
 _CUSTOM_MODE = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -389,7 +391,7 @@ class FleetLink:
         except Exception as failure:  # of the links themselves: the error that ended the watch is told as well
             return f"{', '.join(names)} may stand by our command ({failure}): take over by hand"
         if tell is not None:
-            tell(f"{', '.join(names)} stood to lose time, and told to go on")
+            tell(f"{', '.join(names)}: stood to lose time, and told to go on")
         return ""
 
     def _start_those_due(self, tell: Told | None) -> None:
@@ -401,9 +403,13 @@ class FleetLink:
                 del self._later[sysid]
             except LinkError as failure:
                 del self._later[sysid]
-                self._grounded[sysid] = failure
                 if tell is not None:
                     tell(f"{failure}; the others fly their missions")
+
+    def _ground(self, sysid: int, failure: LinkError) -> None:
+        self._grounded[sysid] = failure
+        if self._keeper is not None:
+            self._keeper.ground(list(self._vehicles).index(sysid))
 
     def flight(self) -> FleetFlight:
         """Return what has been recorded so far."""
@@ -441,6 +447,35 @@ class FleetLink:
         self._station.together(
             {k: self._switching(v, order) for k, v in armed.items()}, after_failure="the others have obeyed"
         )
+
+    def call_off(self) -> list[str]:
+        """Disarm those who have not started yet, before nobody watches them: they stay on the ground; return who.
+
+        Raises
+        ------
+        LinkError
+            A vehicle that may be armed does not answer.
+        """
+        self._later.clear()
+        waiting = {k: v for k, v in self._vehicles.items() if not v.started and k not in self._grounded}
+        grounded = {k: not (v.armed or v.asked_to_arm) for k, v in waiting.items()}
+
+        def calling_off(sysid: int, vehicle: _Vehicle) -> Steps:
+            try:
+                grounded[sysid] = yield from self._disarming(vehicle)
+            except LinkError:
+                vehicle.command = None
+                raise vehicle.error(
+                    "has not been seen to start, and does not answer: it may be armed, or fly: take over by hand"
+                ) from None
+
+        unsure = {k: calling_off(k, v) for k, v in waiting.items() if not grounded[k]}
+        if unsure:
+            try:
+                self._station.together(unsure)
+            finally:
+                self._station.settle(_HEARTBEAT_S)  # they say so
+        return [vehicle.plan.name for k, vehicle in waiting.items() if grounded[k]]
 
     def release(self) -> list[str]:
         """Let vehicles go on that were stopped to lose time, before nobody watches them; return their names.
@@ -585,6 +620,7 @@ class FleetLink:
             raise vehicle.error(f"refused to switch to {name} (mode {mode}){vehicle.said(self._clock.now_s())}")
 
     def _arming(self, vehicle: _Vehicle) -> Steps:
+        vehicle.asked_to_arm = True
         command = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
         result = yield from self._station.commanding(vehicle, command, 1.0, patience_s=_ARM_S)
         if result != mavlink.MAV_RESULT_ACCEPTED:
@@ -606,6 +642,7 @@ class FleetLink:
                     f"{vehicle.said(self._clock.now_s())}"
                 )
             yield
+        vehicle.started = True
 
     def _wait_until(self, at_s: float | None) -> None:
         """Hear all vehicles until it is time."""
@@ -618,10 +655,29 @@ class FleetLink:
         at_s = self._start_s + vehicle.plan.start_delay_s
         while self._clock.now_s() < at_s - _ARM_EARLY_S:
             yield
-        yield from self._arming(vehicle)
-        while self._clock.now_s() < at_s:
-            yield
-        yield from self._starting(vehicle)
+        try:
+            yield from self._arming(vehicle)
+            while self._clock.now_s() < at_s:
+                yield
+            yield from self._starting(vehicle)
+        except LinkError as failure:
+            vehicle.command = None
+            try:
+                grounded = yield from self._disarming(vehicle)
+            except LinkError:
+                vehicle.command = None
+                raise LinkError(f"{failure}; it does not answer and may be flying: take over by hand") from failure
+            if not grounded:  # only what it said of its start was lost
+                vehicle.started = True
+                raise LinkError(f"{failure}; it has left the ground and is watched") from failure
+            self._ground(vehicle.plan.sysid, failure)
+            raise LinkError(f"{failure}; it is disarmed on the ground") from failure
+
+    def _disarming(self, vehicle: _Vehicle) -> Waiting[bool]:
+        """Disarm a vehicle that is on the ground; return whether it was: nobody disarms in the air."""
+        disarm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+        result = yield from self._station.commanding(vehicle, disarm, 0.0, patience_s=2.0)
+        return bool(result == mavlink.MAV_RESULT_ACCEPTED)
 
     def _check_home(self, vehicle: _Vehicle) -> None:
         position_m = vehicle.recorder.position_m
@@ -648,9 +704,7 @@ class FleetLink:
 
         def ending(vehicle: _Vehicle) -> Steps:
             try:
-                disarm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-                result = yield from self._station.commanding(vehicle, disarm, 0.0, patience_s=2.0)
-                if result != mavlink.MAV_RESULT_ACCEPTED:  # it has left the ground
+                if not (yield from self._disarming(vehicle)):
                     yield from self._switching(vehicle, "land")
                     told.append(vehicle.plan.name)
             except LinkError:
@@ -678,6 +732,8 @@ class _Vehicle(Peer):
             goal_seq(self.items), plan.waypoints_m[-1], plan.motion.waypoint_radius_m + 1.0, fleet.frame
         )
         self._due_after_s = fleet.mission.fleet.arrives_after_s(plan.name)
+        self.asked_to_arm = False
+        self.started = False  # seen to fly its mission
         self.held: tuple[MissionItem, ...] | None = None
         self.current_item: int | None = None
         self._status: Message | None = None

@@ -546,6 +546,13 @@ def _leave(link: FleetLink, *, simulated: bool) -> None:
     """Ask what flying vehicles shall do when the operator interrupts; without a terminal they fly on."""
     if simulated:
         return
+    try:
+        if grounded := link.call_off():
+            print(
+                f"missionplanner: not started, and left disarmed on the ground: {', '.join(grounded)}", file=sys.stderr
+            )
+    except LinkError as error:
+        print(f"missionplanner: {error}", file=sys.stderr)
     if not link.armed:
         print("missionplanner: no vehicle is armed", file=sys.stderr)
         return

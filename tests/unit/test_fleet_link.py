@@ -18,7 +18,7 @@ from adapters.mission_items import MissionItem
 from adapters.parameter_protocol import parameter_name
 from adapters.telemetry_log import FleetLog, read_log
 from missionplanner.errors import LinkError
-from missionplanner.plan import FleetFlight
+from missionplanner.plan import FleetFlight, FleetPlan
 from missionplanner.vehicle import Autopilot, Ending, VehicleClass
 from tests.plans import fleet_plan, small_fleet, vehicle_plan
 from tests.rig import Rig
@@ -725,3 +725,99 @@ def test_an_order_to_land_is_obeyed() -> None:
     flight = rig.link.watch()
     assert all(v.landed_s is not None for v in flight.vehicles)
     assert all(v.arrival_s is None for v in flight.vehicles)
+
+
+def delayed_fleet() -> FleetPlan:
+    """The second starts 15 s after the first."""
+    first = vehicle_plan("first", 1, waypoints_m=((0, 0, 1230), (240, 0, 1244.5), (480, 0, 1244.5)))
+    second = vehicle_plan(
+        "second", 2, start_delay_s=15.0, home_m=(0, 60, 1200), waypoints_m=((0, 60, 1230), (240, 60, 1244.5))
+    )
+    return fleet_plan(first, second)
+
+
+def watch_until(rig: Rig, after_s: float) -> None:
+    """Watch until an operator interrupts."""
+    end_s = rig.clock.now_s() + after_s
+    wait = rig.clock.wait
+
+    def interrupted(seconds: float) -> None:
+        if rig.clock.now_s() >= end_s:
+            rig.clock.wait = wait  # type: ignore[method-assign]
+            raise KeyboardInterrupt
+        wait(seconds)
+
+    rig.clock.wait = interrupted  # type: ignore[method-assign]
+    with pytest.raises(KeyboardInterrupt):
+        rig.link.watch()
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize(("after_s", "armed"), [(5.0, False), (13.0, True)])
+def test_who_has_not_started_is_left_disarmed_when_an_operator_interrupts(
+    autopilot: Autopilot, after_s: float, armed: bool
+) -> None:
+    rig = Rig(fleet_plan(*(replace(v, autopilot=autopilot) for v in delayed_fleet().vehicles)))
+    rig.upload()
+    rig.link.start()
+    watch_until(rig, after_s)
+    assert rig.armed() == [True, armed]
+    assert rig.link.call_off() == ["second"]
+    assert rig.armed() == [True, False]
+    assert rig.link.armed == ["first"]
+    rig.sim.advance(200.0)
+    assert float(rig.sim.links[1].autopilot.position_m[2]) == pytest.approx(1200.0, abs=0.1)
+
+
+def test_who_has_started_flies_on_when_an_operator_interrupts() -> None:
+    rig = Rig(delayed_fleet())
+    rig.upload()
+    rig.link.start()
+    watch_until(rig, 22.0)
+    assert rig.link.call_off() == []
+    assert rig.armed() == [True, True]
+
+
+def test_who_may_be_armed_and_does_not_answer_is_named_when_an_operator_interrupts() -> None:
+    rig = Rig(delayed_fleet())
+    rig.upload()
+    rig.link.start()
+    watch_until(rig, 13.0)
+    rig.pipes[1].up = lambda _message: None
+    with pytest.raises(LinkError, match=r"second \(sysid 2\): has not been seen to start, and does not answer"):
+        rig.link.call_off()
+
+
+def test_a_later_start_that_fails_leaves_it_disarmed_and_the_others_flying() -> None:
+    rig = Rig(delayed_fleet())
+    rig.upload()
+    rig.link.start()
+
+    def refuse(message: Any) -> Any:
+        if message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_MISSION_START:
+            message.command = 31_999
+        return message
+
+    rig.pipes[1].up = refuse
+    told: list[str] = []
+    with pytest.raises(LinkError, match=r"second \(sysid 2\): .*MISSION_START"):
+        rig.link.watch(tell=told.append)
+    assert any("it is disarmed on the ground; the others fly" in line for line in told)
+    assert rig.armed() == [False, False]
+    assert rig.link.flight().vehicles[0].landed_s is not None
+
+
+def test_a_later_start_whose_answers_are_lost_is_watched() -> None:
+    rig = Rig(delayed_fleet())
+    rig.upload()
+    rig.link.start()
+
+    def lose(message: Any) -> Any:
+        lost = message.get_type() == "COMMAND_ACK" and message.command == mavlink.MAV_CMD_MISSION_START
+        return None if lost else message
+
+    rig.pipes[1].down = lose
+    told: list[str] = []
+    flight = rig.link.watch(tell=told.append)
+    assert any("it has left the ground and is watched" in line for line in told)
+    assert flight.vehicles[1].landed_s is not None
