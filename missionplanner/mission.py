@@ -304,7 +304,9 @@ class VehicleSettings(Model):
     speed_m_s: SpeedRange | None = Field(None, description="default: copter 3 to 10, plane 14 to 22 (PX4: to 20)")
     climb: VerticalLimit = VerticalLimit()
     descent: VerticalLimit = VerticalLimit()
-    turn_radius_m: NonNegative | None = Field(None, description="PAPER.md eq. 5; default: copter 0, plane 60")
+    turn_radius_m: NonNegative | None = Field(
+        None, description="PAPER.md eq. 5; default: copter 0, plane 60; planes: no turn is flown tighter, if stated"
+    )
     turn_angle_max_deg: Annotated[float, Strict(), Field(gt=0, le=180)] = Field(180.0, description="PAPER.md eq. 8")
     height_agl_max_m: Positive | None = Field(None, description="PAPER.md eq. 4's upper limit")
     alt_amsl_max_m: Number | None = None
