@@ -294,7 +294,7 @@ def stopping_region(v: Returning, p: FloatArray) -> tuple[FloatArray, FloatArray
         distance = stopping_m(speed + lean_s * along, brakes_m_s2, lag_s)
         sideways = lean_s * across
     swing = sideways * (0.5 * speed / brakes_m_s2 + lag_s)
-    swing = swing + 0.5 * motion.sluggish_s * speed  # it sets out for home before it is at rest
+    swing = swing + 0.75 * motion.sluggish_s * speed  # it sets out for home before it is at rest
     swing = np.where(slow, swing + stopping_m(speed, brakes_m_s2, lag_s), swing)
     stop = p[:, :2] + distance[:, np.newaxis] * heading
     climb = np.maximum(behind[:, 2], ahead[:, 2])
