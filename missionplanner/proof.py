@@ -1199,6 +1199,12 @@ def _assumptions(scene: Scene, flights: Sequence[Flight]) -> list[str]:
         )
         if (motion.autopilot, motion.vehicle_class) == ("px4", "plane"):
             lines.append(f"{flight.sortie.name} flies as predicted: not measured, no PX4 plane was ever recorded")
+    lines += [
+        f"{f.sortie.name} climbs out at {f.task.motion.climb_rate_m_s:g} m/s at least, at its cruise airspeed of "
+        f"{f.task.motion.cruise_speed_m_s:g} m/s; its times, energy and way home are those of a strong one"
+        for f in flights
+        if f.sortie.vehicle_class == "plane"
+    ]
     lines += _starts_told(scene, flights)
     lines += [f"{flight.sortie.name}: {note}" for flight in flights for note in flight.sortie.notes]
     lines += [
