@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.telemetry_log import FleetLog, read_log
 from missionplanner import timing
+from missionplanner.errors import LinkError
 from missionplanner.pacing import Course, Pacer, Rules
 from missionplanner.plan import FleetFlight, FleetPlan
 from missionplanner.plan_folder import load_flight, save_flight
@@ -40,7 +42,7 @@ def long_fleet(autopilot: Autopilot = "ardupilot") -> FleetPlan:
     )
 
 
-def courses(plan: FleetPlan) -> list[Course]:
+def courses(plan: FleetPlan, limits_m_s: tuple[float, float] = (3.0, 10.0)) -> list[Course]:
     """Return what the fleet flies, timed by the motion model."""
     found = []
     for v in plan.vehicles:
@@ -59,8 +61,7 @@ def courses(plan: FleetPlan) -> list[Course]:
                 planned,
                 reached_s,
                 float(reached_s[-1]),
-                3.0,
-                10.0,
+                *limits_m_s,
             )
         )
     return found
@@ -184,3 +185,125 @@ def test_who_is_sent_home_ends_all_corrections() -> None:
     flight = rig.link.watch(pacer=Pacer(courses(plan), lambda _i, _j: 20.0), tell=told.append)
     assert all(c.t_s < 27.0 for c in flight.corrections)
     assert any("uav2 has left its mission" in line for line in told)
+
+
+class Stopping(Rig):
+    """The second takes off so late that the first is stopped for a while: it can hardly fly slower."""
+
+    def __init__(self) -> None:
+        plan = long_fleet()
+        super().__init__(plan, vehicles=planned_vehicles(plan, late_s={"uav2": 18.0}))
+        self.told: list[str] = []
+
+    def begin(self) -> None:
+        self.upload()
+        self.link.start()
+
+    def watch(self) -> FleetFlight:
+        which = courses(self.link._plan, (5.9, 6.0))
+        pacer = Pacer(which, lambda _i, _j: 20.0, hold=True, rules=Rules(hold_s=2.0))
+        return self.link.watch(pacer=pacer, tell=self.told.append)
+
+    def when_it_stands(self, then: Callable[[], None]) -> None:
+        """Do something once the first has been standing for 5 s."""
+        wait = self.clock.wait
+        since_s: list[float] = []
+
+        def waited(seconds: float) -> None:
+            wait(seconds)
+            if self.sim.links[0].autopilot.paused:
+                since_s.append(self.clock.now_s())
+                if self.clock.now_s() > since_s[0] + 5.0:
+                    self.clock.wait = wait  # type: ignore[method-assign]
+                    then()
+
+        self.clock.wait = waited  # type: ignore[method-assign]
+
+    @property
+    def stands(self) -> bool:
+        return self.sim.links[0].autopilot.paused
+
+
+def test_who_is_stopped_goes_on_and_arrives_with_the_other() -> None:
+    rig = Stopping()
+    rig.begin()
+    flight = rig.watch()
+    assert any(c.to_m_s == 0.0 for c in flight.corrections)
+    assert flight.arrival_spread_s is not None
+    assert flight.arrival_spread_s <= 4.5  # of 18 s: a tenth of a metre per second corrects little
+
+
+@pytest.mark.parametrize("ends_by", [KeyboardInterrupt, OSError, LinkError])
+def test_nobody_is_left_standing_when_a_watch_ends_early(ends_by: type[BaseException]) -> None:
+    rig = Stopping()
+    rig.begin()
+
+    def end() -> None:
+        raise ends_by("over")
+
+    rig.when_it_stands(end)
+    with pytest.raises(ends_by, match="over"):
+        rig.watch()
+    assert not rig.stands
+    assert any("uav1: stood to lose time, and told to go on" in line for line in rig.told)
+
+
+def test_who_does_not_confirm_that_it_goes_on_is_named_when_a_watch_ends_early() -> None:
+    rig = Stopping()
+    rig.begin()
+
+    def end() -> None:
+        rig.pipes[0].up = lambda _message: None
+        raise LinkError("over")
+
+    rig.when_it_stands(end)
+    with pytest.raises(LinkError, match=r"over; uav1 .*it may stand by our command; take over by hand"):
+        rig.watch()
+
+
+def test_links_that_fail_leave_the_name_of_who_may_stand() -> None:
+    rig = Stopping()
+    rig.begin()
+
+    def broken() -> None:
+        raise OSError("no such device")
+
+    def end() -> None:
+        rig.link._station.exchange = broken  # type: ignore[method-assign]
+
+    rig.when_it_stands(end)
+    with pytest.raises(OSError, match="no such device"):
+        rig.watch()
+    assert any(line.startswith("uav1 may stand by our command (no such device)") for line in rig.told)
+
+
+def test_a_stop_whose_answer_is_lost_is_undone() -> None:
+    rig = Stopping()
+    rig.begin()
+
+    def lose(message: Any) -> Any:
+        stop = message.get_type() == "COMMAND_ACK" and message.command == mavlink.MAV_CMD_DO_PAUSE_CONTINUE
+        return None if stop and rig.stands else message
+
+    rig.pipes[0].down = lose
+    flight = rig.watch()
+    stops = [c for c in flight.corrections if c.to_m_s == 0.0]
+    assert stops
+    assert not stops[0].obeyed
+    assert any("it did not answer; it may stand" in line for line in rig.told)
+    assert all(v.arrival_s is not None for v in flight.vehicles)
+
+
+def test_long_before_the_watch_gives_up_nobody_stands_any_more() -> None:
+    rig = Stopping()
+    rig.begin()
+    longest_s = max(float(v.trajectory.t_s[-1]) for v in rig.link._plan.vehicles)
+
+    which = courses(rig.link._plan, (5.9, 6.0))
+    pacer = Pacer(which, lambda _i, _j: 20.0, hold=True, rules=Rules(hold_s=2.0))
+    pacer._going_on = lambda *_: ((), "")  # type: ignore[method-assign, assignment]
+    begun_s = rig.clock.now_s()
+    flight = rig.link.watch(pacer=pacer, tell=rig.told.append)
+    assert any(c.to_m_s == 0.0 for c in flight.corrections)
+    assert all(v.arrival_s is not None for v in flight.vehicles)
+    assert rig.clock.now_s() - begun_s < 2.0 * longest_s + 120.0

@@ -23,6 +23,7 @@ from missionplanner.pacing import (
     Place,
     Rules,
     Sighting,
+    Trim,
     common_delay,
     lateness_s,
     place_of,
@@ -171,10 +172,11 @@ class Toy:
         late_s: Sequence[float] = (),
         required_m: float = 0.0,
         correct: bool = True,
+        hold: bool = False,
         rules: Rules | None = None,
     ) -> None:
         self.courses = courses
-        self.pacer = Pacer(courses, lambda i, j: required_m, correct=correct, rules=rules)
+        self.pacer = Pacer(courses, lambda i, j: required_m, correct=correct, hold=hold, rules=rules)
         self.navigators = [Navigator([replace(c.model, wind_m_s=wind_m_s)], c.home_m[None]) for c in courses]
         self.late_s = list(late_s) or [0.0] * len(courses)
         self.on_legs = [False] * len(courses)
@@ -184,6 +186,7 @@ class Toy:
         self.commanded: list[tuple[float, int, float]] = []
         self.advice: list[Advice] = []
         self.answer: Callable[[int], bool] = lambda _i: True
+        self.lost_answers = 0  # to stops that are obeyed
         self.edit: Callable[[int, Sighting], Sighting | None] = lambda _i, sighting: sighting
 
     def step(self) -> None:
@@ -225,11 +228,21 @@ class Toy:
                 break
         self.advice.append(advice)
         for trim in advice.trims:
-            assert advice.paces[trim.vehicle].state == "flying"
+            assert advice.paces[trim.vehicle].state == ("paused" if trim.from_m_s == 0.0 else "flying")
             self.commanded.append((self.t_s, trim.vehicle, trim.to_m_s))
+            navigator = self.navigators[trim.vehicle]
             if self.answer(trim.vehicle):
-                self.pacer.obeyed(trim, self.t_s)
-                self.navigators[trim.vehicle].set_speed(0, trim.to_m_s)
+                if trim.to_m_s == 0.0:
+                    navigator.halt(0)
+                elif trim.from_m_s == 0.0:
+                    navigator.resume(0)
+                else:
+                    navigator.set_speed(0, trim.to_m_s)
+                if self.lost_answers > 0 and trim.to_m_s == 0.0:
+                    self.lost_answers -= 1
+                    self.pacer.refused(trim, self.t_s, answered=False)
+                else:
+                    self.pacer.obeyed(trim, self.t_s)
             else:
                 self.pacer.refused(trim, self.t_s)
         return advice
@@ -500,3 +513,116 @@ def test_no_copter_is_told_a_faster_speed_where_the_wind_would_push_it_off_its_w
     assert found[math.inf] == way.factors
     assert found[2.0][0] == found[1e-4][0] == way.factors[0]
     assert found[1e-4][1] == 1.0 <= found[2.0][1]  # as it flies now, but no faster
+
+
+# nobody is waited for, or left standing, without bound
+
+
+def narrow() -> list[Course]:
+    """Two side by side that can hardly fly slower."""
+    ways = [[(400.0 * k, y, 30.0) for k in range(4)] for y in (0.0, 500.0)]
+    return [course(n, way, 10.0, limits_m_s=(9.0, 10.0)) for n, way in zip("ab", ways, strict=True)]
+
+
+def test_who_does_not_lift_off_is_waited_for_only_for_a_while() -> None:
+    courses = three()
+    toy = Toy(courses, late_s=(0.0, 0.0, 5000.0))
+    toy.run(1200.0)
+    for k in range(2):
+        assert toy.arrival_s[k] == pytest.approx(courses[k].arrival_s, abs=1.0)
+    assert any("slow does not lift off" in remark for advice in toy.advice for remark in advice.remarks)
+
+
+def test_who_is_told_not_to_start_neither_delays_the_others_nor_keeps_them_from_correcting() -> None:
+    courses = three()
+    toy = Toy(courses, late_s=(15.0, 0.0, 5000.0))
+    toy.edit = lambda i, s: None if i == 2 else s
+    toy.pacer.ground(2)
+    toy.run(1200.0)
+    assert {i for _, i, _ in toy.commanded} == {0}
+    for k in range(2):
+        assert toy.arrival_s[k] == pytest.approx(courses[k].arrival_s, abs=1.0)
+    assert toy.advice[-1].paces[2].state == "grounded"
+
+
+def test_who_is_told_not_to_start_still_stands_in_the_way() -> None:
+    courses = crossing()
+    # home of the third: beside the way of the first
+    third = course("third", [(800, 20, 40), (800, 600, 40), (800, 1200, 40)], 6.0)
+    toy = Toy([*courses, third], late_s=(10.0, 0.0, 5000.0), required_m=50.0)
+    toy.pacer.ground(2)
+    toy.run(60.0)
+    assert toy.pacer._too_close({}, 0.5) == "first and third within 50 m"
+
+
+def test_who_stands_for_long_is_waited_for_only_for_a_while() -> None:
+    courses = three()
+    toy = Toy(courses)
+    toy.run(100.0)
+    toy.navigators[2].halt(0)
+    toy.run(1200.0)
+    for k in range(2):
+        assert toy.arrival_s[k] == pytest.approx(courses[k].arrival_s, abs=1.0)
+    assert any("slow has stood too long" in remark for advice in toy.advice for remark in advice.remarks)
+
+
+@pytest.mark.parametrize("sways_m_s", [0.0, 1.0])
+def test_who_was_stopped_goes_on_however_it_sways(sways_m_s: float) -> None:
+    toy = Toy(narrow(), late_s=(0.0, 60.0), hold=True)
+
+    def sway(i: int, sighting: Sighting) -> Sighting:
+        stands = i in toy.pacer.stopped
+        swaying = np.array([sways_m_s * math.sin(sighting.t_s), 0.0, 0.0])
+        return replace(sighting, velocity_m_s=sighting.velocity_m_s + swaying) if stands else sighting
+
+    toy.edit = sway
+    toy.run(600.0)
+    assert 0.0 in [speed for _, i, speed in toy.commanded if i == 0]
+    assert toy.spread_s <= 1.5
+
+
+def test_who_obeys_a_stop_without_an_answer_goes_on() -> None:
+    toy = Toy(narrow(), late_s=(0.0, 60.0), hold=True)
+    toy.lost_answers = 1
+    toy.run(600.0)
+    assert toy.lost_answers == 0
+    assert toy.spread_s <= 1.5
+    assert toy.pacer.stopped == frozenset()
+
+
+def test_who_neither_answers_nor_obeys_a_stop_is_seen_to_fly() -> None:
+    toy = Toy(narrow(), late_s=(0.0, 60.0), hold=True)
+    stops: list[float] = []
+    refused = toy.pacer.refused
+
+    def silent(trim: Trim, t_s: float, *, answered: bool = True) -> bool:
+        stops.append(t_s)
+        return refused(trim, t_s, answered=False)
+
+    toy.pacer.refused = silent  # type: ignore[method-assign]
+    toy.answer = lambda _i: toy.advice[-1].trims[0].to_m_s > 0.0
+    toy.run(600.0)
+    assert stops
+    assert not [t for t, _, speed in toy.commanded if speed > 0.0 and any(s < t < s + 10.0 for s in stops)]
+    assert toy.arrival_s[0] is not None
+    assert toy.arrival_s[0] < toy.courses[0].arrival_s + 20.0
+    assert toy.pacer.stopped == frozenset()
+
+
+def test_who_does_not_go_on_when_told_to_is_asked_again_and_not_waited_for() -> None:
+    courses = narrow()
+    toy = Toy(courses, late_s=(0.0, 60.0), hold=True)
+    stopped: list[int] = []
+
+    def answer(i: int) -> bool:
+        stands = i in stopped
+        if toy.advice[-1].trims[0].to_m_s == 0.0 and i == 0:
+            stopped.append(i)
+        return not stands
+
+    toy.answer = answer
+    toy.run(900.0)
+    asked = [t for t, i, speed in toy.commanded if i == 0 and speed > 0.0 and t > 140.0]
+    assert len(asked) > 20
+    assert toy.arrival_s[1] is not None
+    assert toy.arrival_s[1] <= courses[1].arrival_s + 60.0 + 70.0
