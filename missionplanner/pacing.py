@@ -5,6 +5,9 @@ model, at a multiple of the planned speeds and in the wind that the fleet has fe
 place to the goal is what remains. One law makes a correction: all planned arrivals shift by one delay, none while all
 can still make it, else the least that all can make. A speed is commanded only where a vehicle would miss that by more
 than a dead band, and only after all remaining flights, as they would be corrected, were shown to keep apart.
+
+Nobody is told to fly faster than its whole flight, alone, is proven to be flown: its way, its battery with the reserve,
+its way home from everywhere. That two who return at the same instant keep apart is proven of the planned times only.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from missionplanner import energy, proof, timing
+from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.plan import FleetPlan, Trajectory
 from missionplanner.scene import Scene
@@ -81,6 +85,7 @@ class Course:
     speed_max_m_s: float
     deviation_m: float = math.inf  # how far its autopilot may leave the legs (planes: the planned flight)
     spare_s: FloatArray | None = None  # (S,) longer than planned its battery surely lasts, from each planned sample on
+    hastes: tuple[Haste, ...] | None = None  # proven scales above 1, rising; None: nobody asked for a proof
 
     @property
     def start_s(self) -> float:
@@ -92,13 +97,26 @@ class Course:
         speeds: FloatArray = np.clip(factor * self.speed_m_s, self.speed_min_m_s, self.speed_max_m_s)
         return speeds
 
-    def latest_s(self, place: Place) -> float:
-        """Return up to which arrival its battery surely lasts, as a vehicle that has come to a place."""
+    def latest_s(self, place: Place, fastest: float = 1.0) -> float:
+        """Return up to which arrival its battery surely lasts, as a vehicle that has come to a place.
+
+        ``fastest`` is the greatest scale that it has flown at.
+        """
         if self.spare_s is None:
             return math.inf
         at_s, _ = times_at(self, self.planned, self.reached_s, place)
         sample = int(np.searchsorted(self.planned.t_s, at_s, side="right")) - 1
-        return self.arrival_s + float(self.spare_s[max(sample, 0)])
+        spare_s = float(self.spare_s[max(sample, 0)])
+        if fastest > 1.0 and self.hastes is not None:
+            spare_s = min([spare_s, *(haste.spare_s for haste in self.hastes if haste.scale >= fastest - 1e-9)][:2])
+        return self.arrival_s + spare_s
+
+    def greatest(self, lost_s: float) -> float:
+        """Return the greatest scale that is proven, for who has lost time in the air that its battery must last too."""
+        if self.hastes is None:
+            return math.inf
+        lasting = takewhile(lambda haste: haste.spare_s >= lost_s, self.hastes)
+        return max((haste.scale for haste in lasting), default=1.0)
 
     @property
     def factors(self) -> tuple[float, float]:
@@ -106,11 +124,21 @@ class Course:
         return self.speed_min_m_s / float(self.speed_m_s.max()), self.speed_max_m_s / float(self.speed_m_s.min())
 
 
-def course(scene: Scene, plan: FleetPlan, index: int) -> Course:
-    """Return what a plan's vehicle is to fly, and how slowly and how long its speed range and its battery allow."""
+class Haste(NamedTuple):
+    """A scale of the planned speeds at which a whole flight is proven, and how much longer its battery then lasts."""
+
+    scale: float
+    spare_s: float
+
+
+def course(scene: Scene, plan: FleetPlan, index: int, *, hasten: bool = True) -> Course:
+    """Return what a plan's vehicle is to fly, and how slowly and how long its speed range and its battery allow.
+
+    ``hasten``: prove how much faster it may fly, too.
+    """
     vehicle, limits = plan.vehicles[index], scene.tasks[index].limits
     due_after_s = scene.mission.fleet.arrives_after_s(vehicle.name)
-    return Course(
+    found = Course(
         name=vehicle.name,
         model=vehicle.motion,
         home_m=vehicle.home_m,
@@ -126,6 +154,64 @@ def course(scene: Scene, plan: FleetPlan, index: int) -> Course:
         deviation_m=limits.deviation_m,
         spare_s=_spare_s(scene, plan, index),
     )
+    return replace(found, hastes=_hastes(scene, plan, index, found)) if hasten else found
+
+
+def _hastes(scene: Scene, plan: FleetPlan, index: int, course: Course) -> tuple[Haste, ...]:
+    """Return scales above 1 at which a vehicle's whole flight is proven, as all that are tried below them are."""
+    sortie = proof.planned_sortie(scene, plan.vehicles[index])
+    last = max(plan.vehicles, key=lambda vehicle: float(vehicle.reached_s[-1]))  # until it is down, planes circle
+    others = [] if last.name == course.name else [proof.planned_sortie(scene, last)]
+    share_s = _share_s(scene, plan, index)
+
+    def proven(scale: float) -> Haste | None:
+        speeds_m_s = course.speeds(scale)
+        takeoff, *legs = sortie.legs
+        faster = [replace(leg, speed_m_s=float(v)) for leg, v in zip(legs, speeds_m_s, strict=True)]
+        takeoff = replace(takeoff, speed_m_s=faster[0].speed_m_s)
+        try:
+            flight, *_ = proof.predict(scene, [replace(sortie, legs=(takeoff, *faster)), *others])
+            certificate = proof.prove_flights(scene, [flight])
+        except InfeasibleError:  # a leg that cannot be flown so fast in the wind
+            return None
+        if any(finding.vehicle == course.name for finding in certificate.problems):
+            return None
+        spare = [
+            finding.required - finding.value
+            for finding in certificate.findings
+            if finding.check == "energy" and finding.unit == "" and finding.required is not None
+            if finding.value is not None and not finding.waived
+        ]
+        return Haste(scale, min(spare) / share_s if spare and share_s else math.inf)
+
+    greatest = course.factors[1]
+    found: list[Haste] = []
+    low, high = 1.0, math.inf
+    for scale in [*(scale for scale in _HASTES if scale < greatest), greatest]:
+        haste = proven(scale) if scale > 1.0 + 1e-6 else None
+        if haste is None:
+            high = scale
+            break
+        found.append(haste)
+        low = scale
+    for _ in range(_HALVINGS if 1.0 + 1e-6 < high < math.inf else 0):
+        haste = proven(0.5 * (low + high))
+        if haste is None:
+            high = 0.5 * (low + high)
+        else:
+            found.append(haste)
+            low = haste.scale
+    return tuple(found)
+
+
+def _share_s(scene: Scene, plan: FleetPlan, index: int) -> float | None:
+    """Return the share of its battery that a second of level flight takes at most; None: nothing is known of it."""
+    vehicle = plan.vehicles[index]
+    model = energy.energy_model(scene.mission.vehicles[index], scene.mission.air_m_s)
+    if model is None:
+        return None
+    wind_m_s = (scene.mission.wind_max_m_s or 0.0) + math.hypot(*scene.mission.air_m_s)
+    return float(model.power_share(vehicle.speed_m_s, 0.0, wind_m_s, float(vehicle.waypoints_m[:, 2].max())))
 
 
 def _spare_s(scene: Scene, plan: FleetPlan, index: int) -> FloatArray | None:
@@ -135,7 +221,8 @@ def _spare_s(scene: Scene, plan: FleetPlan, index: int) -> FloatArray | None:
     """
     vehicle, settings = plan.vehicles[index], scene.mission.vehicles[index]
     model = energy.energy_model(settings, scene.mission.air_m_s)
-    if model is None:
+    share_s = _share_s(scene, plan, index)
+    if model is None or share_s is None:
         return None
     wind_m_s = scene.mission.wind_max_m_s or 0.0
     flight = vehicle.trajectory
@@ -145,8 +232,6 @@ def _spare_s(scene: Scene, plan: FleetPlan, index: int) -> FloatArray | None:
         home = energy.return_share(model, flight, vehicle.home_m, vehicle.motion.return_height_m, wind_m_s)
         need = np.where(flight.t_s <= vehicle.reached_s[-1], np.maximum(used + home, need), need)
     from_here_on = np.maximum.accumulate(need[::-1])[::-1]
-    high_m = float(vehicle.waypoints_m[:, 2].max())
-    share_s = float(model.power_share(vehicle.speed_m_s, 0.0, wind_m_s + math.hypot(*scene.mission.air_m_s), high_m))
     spare: FloatArray = np.maximum(1.0 - model.reserve_share - from_here_on, 0.0) / share_s
     return spare
 
@@ -157,7 +242,7 @@ def pacer(
     """Return what watches, and where allowed corrects, the flight of a plan; ``hold`` defaults to the mission's."""
     tasks = scene.tasks
     return Pacer(
-        [course(scene, plan, index) for index in range(len(plan.vehicles))],
+        [course(scene, plan, index, hasten=correct) for index in range(len(plan.vehicles))],
         lambda i, j: proof.required_apart_m(scene, tasks[i], tasks[j]),
         together=plan.arrival_s is not None,
         correct=correct,
@@ -388,6 +473,9 @@ class _Tracked:
     stopped_s: float | None = None  # until when it is to stand, by our command (or it may: it did not answer)
     overdue_s: float | None = None  # since when it is to go on
     grounded: bool = False  # will not start any more
+    fastest: float = 1.0  # of its scales
+    lost_s: float = 0.0  # in the air
+    least_late_s: float = math.inf  # since it last lost some
     stands: tuple[float, FloatArray] | None = None  # since when, and where, it has hardly moved
     moves: deque[tuple[float, int, FloatArray]] = field(default_factory=lambda: deque(maxlen=64))
     felt: deque[Gust] = field(default_factory=lambda: deque(maxlen=120))
@@ -423,6 +511,10 @@ _TRIED = 9  # scales
 _LOOKS = 4  # in so many thoughts, all flights are held against each other once
 _ROOM_S = 0.5  # how early or late any one may be before it is told that vehicles come too close
 _TOLD_S = 5.0  # who is earlier than that is told
+_HASTES = (1.1, 1.25, 1.5)
+"""Scales that are proven, beside the greatest; between the last that is and the first that is not, halving."""
+_HALVINGS = 3
+_LOST_S = 2.0  # less may be noise
 _AFTER_A_STOP = 1.1  # times the least speed
 _NEAR_S = 0.1  # how well a speed solves for an arrival
 _ELSEWHERE_S = (2.0, 5.0, 10.0, 20.0, -2.0, -5.0, -10.0)  # other delays, where the first is not proven apart
@@ -502,6 +594,7 @@ class Pacer:
         tracked.stopped_s = t_s + trim.stop_s if trim.to_m_s == 0.0 else None
         tracked.overdue_s = None
         tracked.factor = trim.factor
+        tracked.fastest = max(tracked.fastest, trim.factor)
         tracked.factor_leg = 0 if tracked.place is None else min(tracked.place.leg, len(tracked.course.speed_m_s))
         tracked.lost = False
         tracked.failures = 0
@@ -648,6 +741,12 @@ class Pacer:
             at_s = seen.t_s if seen.arrival_s is None else seen.arrival_s
             late_s = at_s - course.arrival_s
             return Pace(course.name, state, late_s, course.arrival_s, at_s, at_s, at_s, None, seen.t_s, fixed=True)
+        late_s = lateness_s(course, tracked.place, seen.t_s)
+        if not _on_ground(tracked.place):
+            if late_s > tracked.least_late_s + _LOST_S:
+                tracked.lost_s += late_s - tracked.least_late_s
+                tracked.least_late_s = late_s
+            tracked.least_late_s = min(tracked.least_late_s, late_s)
         low, high = self._bounds(tracked)
         if state == "flying":
             self._learn(tracked)
@@ -657,9 +756,11 @@ class Pacer:
         earliest_s = latest_s = present_s
         fixed = present_s - seen.t_s <= self.rules.freeze_s or tracked.failures >= self.rules.tries
         if not fixed:
-            earliest_s = min(present_s, self._arrival_s(tracked, high))
-            latest_s = max(present_s, min(self._arrival_s(tracked, low), course.latest_s(tracked.place)))
-        late_s = lateness_s(course, tracked.place, seen.t_s)
+            earliest_s = self._arrival_s(tracked, high)
+            if tracked.factor <= high:
+                earliest_s = min(present_s, earliest_s)
+            latest_s = min(self._arrival_s(tracked, low), course.latest_s(tracked.place, tracked.fastest))
+            latest_s = max(present_s, earliest_s, latest_s)
         return Pace(
             course.name,
             state,
@@ -921,6 +1022,11 @@ class Pacer:
         In the air as it is known. A copter that leans as far as it may has nothing left against a wind from the side; a
         plane's turns are wider the faster it flies, and it was proven around its planned flight.
         """
+        low, high = self._steady_bounds(tracked)
+        # who flies faster than its battery lasts now, for the time that it has lost, is to slow down
+        return low, max(min(high, tracked.course.greatest(tracked.lost_s)), 1.0, low)
+
+    def _steady_bounds(self, tracked: _Tracked) -> tuple[float, float]:
         course = tracked.course
         low, high = course.factors
         plane = course.model.vehicle_class == "plane"
