@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Literal
 
 import numpy as np
@@ -149,6 +149,7 @@ def prove_flights(
         findings += found
         legs += verdicts
     findings += _together(scene, flights)
+    findings += _circling(scene, flights)
     findings += _returns(scene, flights)
     findings += _arrival(scene, flights, arrival_s)
     findings += _rendezvous(scene, flights)
@@ -1053,6 +1054,43 @@ def _together(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
         "s",
     )
     return [apart, late]
+
+
+def _circling(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
+    """Return whether planes that circle at their ends keep apart from all who stay there, wherever on their circles.
+
+    Their predicted flights end some time; who circles on drifts around its circle as its speed has it.
+    """
+    stays = [(flight, *stay) for flight in flights if (stay := _stay(flight)) is not None]
+    worst: tuple[float, str] | None = None
+    for (one, one_m, one_wide_m), (two, two_m, two_wide_m) in combinations(stays, 2):
+        if one_wide_m == two_wide_m == 0.0:
+            continue
+        across_m = max(0.0, math.dist(one_m[:2], two_m[:2]) - one_wide_m - two_wide_m)
+        apart_m = math.hypot(across_m, one_m[2] - two_m[2])
+        room_m = apart_m - required_apart_m(scene, one.task, two.task)
+        if worst is None or room_m < worst[0]:
+            told = f"{one.sortie.name} and {two.sortie.name} stay {apart_m:.0f} m apart at their ends, circling"
+            worst = room_m, f"{told}, expected {apart_m - room_m:g} m"
+    if worst is None:
+        return []
+    ok = worst[0] >= -1e-6
+    return [Finding("separation", "", ok, worst[1], "" if ok else "move their ends apart, or end elsewhere")]
+
+
+def _stay(flight: Flight) -> tuple[FloatArray, float] | None:
+    """Return around where, and on which circle, a vehicle stays in the air at its end; None where it does not."""
+    sortie, motion, limits = flight.sortie, flight.task.motion, flight.task.limits
+    if motion.vehicle_class == "copter":
+        return (sortie.legs[-1].end_m, 0.0) if sortie.ending == "loiter" else None
+    middle_m = _circles_at_m(sortie)
+    if middle_m is None or sortie.ending == "land":
+        return None
+    top_m = float(flight.trajectory.position_m[-1, 2])
+    wind_m_s = max(limits.wind_max_m_s, math.hypot(*motion.wind_m_s))
+    speed_m_s = max(motion.cruise_speed_m_s, *(leg.speed_m_s for leg in sortie.legs))
+    wide_m = max(sortie.legs[-1].radius_m - motion.loiter_radius_m, 0.0) + motion.circle_m(speed_m_s, top_m, wind_m_s)
+    return np.array([middle_m[0], middle_m[1], top_m]), wide_m
 
 
 def returning(flight: Flight) -> Returning:

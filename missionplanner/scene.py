@@ -688,7 +688,9 @@ def _stay(task: VehicleTask) -> tuple[FloatArray, float]:
         return (task.home_m if task.end == "rtl" else task.route_m[-1]), 0.0
     x, y, z = task.home_m
     above_home = np.array([x, y, task.motion.return_alt_amsl_m(task.route_m[-1, 2], z)])
-    return (task.route_m[-1] if task.end == "loiter" else above_home), task.motion.loiter_radius_m
+    place = task.route_m[-1] if task.end == "loiter" else above_home
+    wind_m_s = max(task.limits.wind_max_m_s, math.hypot(*task.motion.wind_m_s))
+    return place, task.motion.circle_m(task.limits.speed_max_m_s, float(place[2]), wind_m_s)
 
 
 def _tailwind_m_s(model: MotionModel, way_m: FloatArray) -> float:

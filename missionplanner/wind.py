@@ -80,16 +80,6 @@ def braking_m_s2(model: MotionModel, wind_m_s: float) -> float:
     return max(0.05, min(model.acceleration_m_s2, float(row[LEAN]) - _drag_m_s2(model, wind_m_s)))
 
 
-def falls_behind(model: MotionModel, speed_m_s: float) -> bool:
-    """Return whether a copter's target brakes from a speed that it may not make itself, on some course.
-
-    PX4's trajectory does; ArduCopter stops from the speed it flies (AC_PosControl, get_stopping_point).
-    """
-    if calm(model) or model.vehicle_class == "plane" or model.autopilot == "ardupilot":
-        return False
-    return speed_m_s + math.hypot(*model.wind_m_s) > airspeed_limit_m_s(model)
-
-
 def along_m_s(model: MotionModel, airspeed_m_s: float, way_m: FloatArray) -> FloatArray:
     """Return the ground speeds (...) along horizontal ways (..., 2) at an airspeed; -inf: it is carried off them.
 

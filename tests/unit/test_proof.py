@@ -1086,6 +1086,23 @@ def test_a_plane_that_turns_tighter_than_it_may_is_told() -> None:
     assert found(certified(scene(gentle, area=WIDE), BENT, speed_m_s=18.0), "turn").proven
 
 
+@pytest.mark.parametrize(("apart_m", "clear"), [(180.0, False), (600.0, True)])
+def test_planes_that_circle_for_ever_keep_apart_wherever_on_their_circles(apart_m: float, clear: bool) -> None:
+    question = {"area": WIDE, "fleet": {"direct_return": "waived", "arrive_together": False}}
+    vehicles = [{"class": "plane", "name": name, "home": at(-600, y), "goal": at(600, y, amsl=180)}
+                for name, y in (("one", -400), ("two", 400))]  # fmt: skip
+    there = scene(*vehicles, **question)
+    plan = by_hand(there, *[task.route_m.tolist() for task in there.tasks], speed_m_s=18.0)
+    sorties = [proof.planned_sortie(there, vehicle) for vehicle in plan.vehicles]
+    last = sorties[1].legs[-1]
+    moved = replace(last, end_m=sorties[0].legs[-1].end_m + np.array([0.0, apart_m, 0.0]))
+    certificate = proof.prove(there, [sorties[0], replace(sorties[1], legs=(*sorties[1].legs[:-1], moved))])
+    (told,) = [f for f in certificate.findings if "at their ends" in f.detail]
+    assert told.proven is clear
+    with pytest.raises(MissionError, match=r"circles of planes included"):
+        scene(vehicles[0], {**vehicles[1], "goal": at(600, -220, amsl=180)}, **question)
+
+
 # --- the certificate as data
 
 

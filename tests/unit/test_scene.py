@@ -12,9 +12,10 @@ import pytest
 
 from missionplanner import kernels
 from missionplanner.errors import MissionError
-from missionplanner.mission import Mission, parse_mission
+from missionplanner.mission import Mission, VehicleSettings, parse_mission
 from missionplanner.scene import TERRAIN_NAME, Scene, build_check_scene, build_scene, portable_mission
 from missionplanner.terrain import write_raster
+from missionplanner.vehicle import motion_model
 from tests.rasters import AREA, FRAME, hill, hill_in, write_tif
 
 FLAT: dict[str, Any] = {
@@ -153,12 +154,14 @@ def test_a_planes_circle_must_be_clear() -> None:
 
 def test_circling_planes_stay_apart() -> None:
     first = {"class": "plane", "goal": at(600, 0, agl=60)}
-    second = {"class": "plane", "home": at(0, 200), "goal": at(600, 130, agl=60)}
+    second = {"class": "plane", "home": at(0, 250), "goal": at(600, 210, agl=60)}
     problem = problem_of(flying(first, second))
     assert "(v1): expected to stay at its end at least 46 m from" in problem  # 20 and twice 13
-    assert "got 10.0 m" in problem
-    scene_of(flying(first, {**second, "goal": at(600, 167, agl=60)}))
-    scene_of(flying(first, {**second, "goal": at(600, 130, agl=105)}))
+    wide_m = motion_model(VehicleSettings(vehicle_class="plane")).circle_m(22.0, 160.0)
+    assert 80.0 < wide_m < 105.0  # as wide as it is flown, not as it is asked for
+    assert f"got {210 - 2 * wide_m:.1f} m" in problem
+    scene_of(flying(first, {**second, "goal": at(600, 2 * wide_m + 46.1, agl=60)}))
+    scene_of(flying(first, {**second, "goal": at(600, 210, agl=110)}))
     assert "circles of planes included" in problem_of(flying(first, {"home": at(0, 200), "goal": at(600, 70, agl=50)}))
     both_home = ({**first, "end": "rtl"}, {**second, "end": "rtl", "home": at(0, 130)})
     assert "circles of planes included" in problem_of(flying(*both_home))
