@@ -195,7 +195,8 @@ def return_share(
         down_s += float(way.hold_s.sum()) + 2.0 * loop_s * len(way.points_m)
         ending_s = down_s + (high_m - above[2]) / motion.descent_rate_m_s
     else:
-        ending_s = np.full(len(position), 2.0 * 2.0 * math.pi * motion.loiter_radius_m / ground_m_s)
+        circle_m = motion.circle_m(asked_m_s, above[2], math.hypot(*motion.wind_m_s) if known else wind_m_s)
+        ending_s = np.full(len(position), 2.0 * 2.0 * math.pi * circle_m / ground_m_s)
     altitudes_m = np.array([min(float(home[2]), float(position[:, 2].min())), float(high_m.max())])
 
     def power(speed_m_s: float, climb_m_s: float) -> float:
