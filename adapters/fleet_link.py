@@ -40,7 +40,7 @@ from adapters.vehicle_parameters import Comparison, compared, reading_motion
 from missionplanner.errors import LinkError
 from missionplanner.geodesy import FloatArray, GeoPoint
 from missionplanner.pacing import Pace, Pacer, Sighting
-from missionplanner.plan import FleetFlight, FleetPlan, FlownVehicle, VehiclePlan
+from missionplanner.plan import FleetFlight, FleetPlan, FlownMeeting, FlownVehicle, VehiclePlan
 from missionplanner.vehicle import Autopilot, VehicleClass
 
 __all__ = [
@@ -418,7 +418,12 @@ class FleetLink:
         if keeper is None:
             return FleetFlight(tuple(flown))
         watched = (replace(vehicle, lateness=keeper.lateness(i)) for i, vehicle in enumerate(flown))
-        return FleetFlight(tuple(watched), tuple(keeper.corrections))
+        vehicles = list(self._vehicles.values())
+        meetings = [
+            FlownMeeting(m.name, {vehicles[i].plan.name: vehicles[i].reached_s(at) for i, at in m.waypoints.items()})
+            for m in keeper.meetings
+        ]
+        return FleetFlight(tuple(watched), tuple(keeper.corrections), tuple(meetings))
 
     @property
     def now_s(self) -> float:
@@ -866,6 +871,11 @@ class _Vehicle(Peer):
             text=self._text,
             pace=pace,
         )
+
+    def reached_s(self, waypoint: int) -> float | None:
+        """Return when a waypoint of its plan was reached, since the common start."""
+        place_m, reach_m = self.plan.waypoints_m[waypoint], self.plan.motion.waypoint_radius_m + 1.0
+        return self.recorder.reached_s(self._flown_to[waypoint], place_m, reach_m)
 
     def flown(self) -> FlownVehicle:
         recorder = self.recorder

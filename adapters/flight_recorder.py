@@ -58,6 +58,7 @@ class FlightRecorder:
         self.item: int | None = None  # MISSION_CURRENT
         self._start_s = start_s  # link clock
         self._reached_s: float | None = None
+        self._done_s: dict[int, float] = {}  # link clock, when items were first said to be reached or left, by seq
         self._before_s: float | None = None  # last seen at or before the goal's item
         self._after_s: float | None = None  # first seen past it
         self._airborne = False
@@ -82,12 +83,16 @@ class FlightRecorder:
                 self._positioned(message, now_s)
             case "MISSION_CURRENT" if self._start_s is not None:
                 self._at_item(message.seq, now_s)
-            case "MISSION_ITEM_REACHED" if self._start_s is not None and message.seq == self._goal_seq:
-                self._reached(now_s)
+            case "MISSION_ITEM_REACHED" if self._start_s is not None:
+                self._done_s.setdefault(message.seq, now_s)
+                if message.seq == self._goal_seq:
+                    self._reached(now_s)
             case "STATUSTEXT" if self._start_s is not None:
                 match_ = _REACHED_TEXT.search(status_text(message))
-                if match_ and int(match_[1]) == self._goal_seq:
-                    self._reached(now_s)
+                if match_:
+                    self._done_s.setdefault(int(match_[1]), now_s)
+                    if int(match_[1]) == self._goal_seq:
+                        self._reached(now_s)
             case "EXTENDED_SYS_STATE" if self._start_s is not None:
                 if message.landed_state in _IN_AIR:
                     self._lifted_off()
@@ -137,6 +142,21 @@ class FlightRecorder:
             return at_s if distance_m <= self._reach_m else None
         return None
 
+    def reached_s(self, seq: int, place_m: FloatArray, reach_m: float) -> float | None:
+        """Return when an item's place was first within reach while it was flown to, since the common start.
+
+        None: it was not reached. Autopilots say so only after the hold there; without a track, that is what is known.
+        """
+        if self._start_s is None or not self._boot_s or seq not in self._done_s:
+            return None
+        end_s = self.flight_time_s(self._done_s[seq])
+        before = [done_s for item, done_s in self._done_s.items() if item < seq]
+        begin_s = self.flight_time_s(max(before)) if before else 0.0
+        track = self.trajectory()
+        near = np.linalg.norm(track.position_m - place_m, axis=1) <= reach_m
+        inside = track.t_s[near & (track.t_s >= begin_s) & (track.t_s <= end_s)]
+        return float(inside[0]) if inside.size else end_s
+
     @property
     def landed_s(self) -> float | None:
         """When it touched down after flying, since the common start; None if it did not."""
@@ -173,6 +193,8 @@ class FlightRecorder:
             self._begin(None)
 
     def _at_item(self, seq: int, now_s: float) -> None:
+        for left in range(seq if self.item is None else self.item, seq):
+            self._done_s.setdefault(left, now_s)
         self.item = seq
         if seq <= self._goal_seq and self._after_s is None:
             self._before_s = now_s

@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from adapters.ground_station import Peer, Station, Steps
 from adapters.telemetry_log import FleetLog
 from missionplanner.errors import LinkError
-from missionplanner.pacing import Advice, Pacer, Sighting, Trim
+from missionplanner.pacing import Advice, Meeting, Pacer, Sighting, Trim
 from missionplanner.plan import Correction, Lateness
 
 Told = Callable[[str], None]
@@ -64,6 +64,11 @@ class PaceKeeper:
     def stopped(self) -> frozenset[int]:
         """The vehicles that wait for a command to go on, or may: they did not answer."""
         return self._pacer.stopped
+
+    @property
+    def meetings(self) -> tuple[Meeting, ...]:
+        """Who is to meet where."""
+        return self._pacer.meetings
 
     def went_on(self, i: int) -> None:
         """Take note that vehicle i was let go on by somebody else."""

@@ -27,6 +27,7 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.plan import FleetPlan, Trajectory
 from missionplanner.scene import Scene
 from missionplanner.vehicle import Ending, MotionModel, true_airspeed
+from missionplanner.waypoints import passes
 from missionplanner.wind import airspeed_limit_m_s, off_legs_m
 
 SPEED_STEP_M_S = 1e-3
@@ -61,6 +62,8 @@ class Rules:
     """Nobody waits longer for who does not lift off ..."""
     stand_s: float = 60.0
     """... or stands for so long where it should not."""
+    meeting_s: float = 5.0
+    """It is told when those who are to meet on the way will be there further apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,6 +127,30 @@ class Course:
         return self.speed_min_m_s / float(self.speed_m_s.max()), self.speed_max_m_s / float(self.speed_m_s.min())
 
 
+class Meeting(NamedTuple):
+    """A rendezvous: which waypoint of each vehicle (by its index) it is."""
+
+    name: str
+    waypoints: Mapping[int, int]
+
+
+def meetings(scene: Scene, plan: FleetPlan) -> tuple[Meeting, ...]:
+    """Return who is to meet where; of missions of other origin, nothing is known."""
+    index = {vehicle.name: i for i, vehicle in enumerate(plan.vehicles)}
+    found = []
+    for rendezvous in scene.mission.fleet.rendezvous:
+        at: dict[int, int] = {}
+        for name, place in rendezvous.at.items():
+            task = scene.tasks[index[name]]
+            stops = passes(task.route_m, plan.vehicles[index[name]].waypoints_m)
+            number = task.places.get(str(place), len(stops))
+            if number < len(stops):
+                at[index[name]] = stops[number]
+        if len(at) > 1:
+            found.append(Meeting(rendezvous.name, at))
+    return tuple(found)
+
+
 class Haste(NamedTuple):
     """A scale of the planned speeds at which a whole flight is proven, and how much longer its battery then lasts."""
 
@@ -160,8 +187,6 @@ def course(scene: Scene, plan: FleetPlan, index: int, *, hasten: bool = True) ->
 def _hastes(scene: Scene, plan: FleetPlan, index: int, course: Course) -> tuple[Haste, ...]:
     """Return scales above 1 at which a vehicle's whole flight is proven, as all that are tried below them are."""
     sortie = proof.planned_sortie(scene, plan.vehicles[index])
-    last = max(plan.vehicles, key=lambda vehicle: float(vehicle.reached_s[-1]))  # until it is down, planes circle
-    others = [] if last.name == course.name else [proof.planned_sortie(scene, last)]
     share_s = _share_s(scene, plan, index)
 
     def proven(scale: float) -> Haste | None:
@@ -170,7 +195,7 @@ def _hastes(scene: Scene, plan: FleetPlan, index: int, course: Course) -> tuple[
         faster = [replace(leg, speed_m_s=float(v)) for leg, v in zip(legs, speeds_m_s, strict=True)]
         takeoff = replace(takeoff, speed_m_s=faster[0].speed_m_s)
         try:
-            flight, *_ = proof.predict(scene, [replace(sortie, legs=(takeoff, *faster)), *others])
+            flight, *_ = proof.predict(scene, [replace(sortie, legs=(takeoff, *faster))])
             certificate = proof.prove_flights(scene, [flight])
         except InfeasibleError:  # a leg that cannot be flown so fast in the wind
             return None
@@ -182,7 +207,12 @@ def _hastes(scene: Scene, plan: FleetPlan, index: int, course: Course) -> tuple[
             if finding.check == "energy" and finding.unit == "" and finding.required is not None
             if finding.value is not None and not finding.waived
         ]
-        return Haste(scale, min(spare) / share_s if spare and share_s else math.inf)
+        if not spare or not share_s:
+            return Haste(scale, math.inf)
+        spare_s = min(spare) / share_s
+        if course.model.vehicle_class == "plane":  # it circles until the last of the fleet is down
+            spare_s -= max(float(course.planned.t_s[-1] - flight.trajectory.t_s[-1]), 0.0)
+        return Haste(scale, spare_s) if spare_s >= 0.0 else None
 
     greatest = course.factors[1]
     found: list[Haste] = []
@@ -248,6 +278,7 @@ def pacer(
         correct=correct,
         hold=scene.mission.fleet.correction == "speed_and_hold" if hold is None else hold,
         lateness_s=scene.mission.fleet.lateness_s,
+        meetings=meetings(scene, plan),
         rules=rules,
     )
 
@@ -473,6 +504,7 @@ class _Tracked:
     stopped_s: float | None = None  # until when it is to stand, by our command (or it may: it did not answer)
     overdue_s: float | None = None  # since when it is to go on
     grounded: bool = False  # will not start any more
+    reached_s: dict[int, float] = field(default_factory=dict)  # waypoints
     fastest: float = 1.0  # of its scales
     lost_s: float = 0.0  # in the air
     least_late_s: float = math.inf  # since it last lost some
@@ -514,6 +546,7 @@ _TOLD_S = 5.0  # who is earlier than that is told
 _HASTES = (1.1, 1.25, 1.5)
 """Scales that are proven, beside the greatest; between the last that is and the first that is not, halving."""
 _HALVINGS = 3
+_NOWHERE = ("grounded", "unheard", "away")
 _LOST_S = 2.0  # less may be noise
 _AFTER_A_STOP = 1.1  # times the least speed
 _NEAR_S = 0.1  # how well a speed solves for an arrival
@@ -531,6 +564,7 @@ class Pacer:
     correct : whether speeds may be commanded; else it only tells
     hold : whether copters may be stopped as well
     lateness_s : up to which the mission asks for separation
+    meetings : on the way; corrections do not keep them, it is only told that they are missed
     """
 
     def __init__(
@@ -542,6 +576,7 @@ class Pacer:
         correct: bool = True,
         hold: bool = False,
         lateness_s: float = 0.0,
+        meetings: Sequence[Meeting] = (),
         rules: Rules | None = None,
     ) -> None:
         self.rules = rules or Rules()
@@ -554,6 +589,8 @@ class Pacer:
         self._slack_s: float | None = None
         self._thoughts = 0
         self._conflict = ""
+        self.meetings = tuple(meetings)
+        self._missed: dict[str, str] = {}  # meetings, and what was told of them
         self._wind_m_s = courses[0].model.wind_m_s
 
     @property
@@ -575,6 +612,10 @@ class Pacer:
             tracked.seen = sighting
             tracked.moves.append((sighting.t_s, sighting.waypoint, np.array(sighting.velocity_m_s, dtype=float)))
             self._feel(tracked, sighting)
+        left = sighting.waypoint if tracked.place is None else tracked.place.leg
+        for waypoint in range(left, sighting.waypoint):
+            there_s = tracked.seen.t_s if tracked.held_s is None or waypoint > left else tracked.held_s
+            tracked.reached_s.setdefault(waypoint, there_s)
         tracked.place = place_of(tracked.course, sighting.waypoint, tracked.seen.position_m)
         held = holds_at(tracked.course, tracked.place)
         tracked.held_s = (tracked.seen.t_s if tracked.held_s is None else tracked.held_s) if held else None
@@ -661,6 +702,8 @@ class Pacer:
         if trims or self._thoughts % _LOOKS == 0:
             tight = self._too_close({trim.vehicle: trim.factor for trim in trims if trim.to_m_s > 0.0}, _ROOM_S)
             self._conflict = "" if tight is None else f"as they fly now, {tight} of each other"
+        self._look_at_meetings({trim.vehicle: trim.factor for trim in trims if trim.to_m_s > 0.0})
+        remarks += self._missed.values()
         self._thoughts += 1
         remarks.append(self._conflict)
         delay_s = None if delays is None or not self._together else delays[0]
@@ -1055,6 +1098,37 @@ class Pacer:
         flown = Trajectory(ahead.t_s[:until:_SPARSE], ahead.position_m[:until:_SPARSE])
         allowed_m = (_PLANE_STRAYS if plane else _COPTER_STRAYS) * course.deviation_m
         return off_legs_m(flown, np.stack([line[:-1], line[1:]], axis=1)) <= allowed_m
+
+    def _look_at_meetings(self, factors: Mapping[int, float]) -> None:
+        """Take note of meetings that are missed under new scales, for good: nobody is to be told again."""
+        for meeting in self.meetings:
+            times_s = {
+                self._tracked[k].course.name: self._there_s(self._tracked[k], waypoint, factors.get(k))
+                for k, waypoint in meeting.waypoints.items()
+            }
+            known = {name: t_s for name, t_s in times_s.items() if t_s is not None}
+            if meeting.name in self._missed or len(known) < 2:
+                continue
+            first, last = min(known, key=lambda name: known[name]), max(known, key=lambda name: known[name])
+            if known[last] - known[first] > self.rules.meeting_s:
+                self._missed[meeting.name] = (
+                    f"rendezvous {meeting.name} is missed: {first} is there {known[last] - known[first]:.0f} s before "
+                    f"{last}; corrections keep the arrivals together, not meetings on the way"
+                )
+
+    def _there_s(self, tracked: _Tracked, waypoint: int, factor: float | None) -> float | None:
+        """Return when a vehicle was, or will be, at a waypoint; None: nobody knows."""
+        if waypoint in tracked.reached_s:
+            return tracked.reached_s[waypoint]
+        place = tracked.place
+        if tracked.seen is None or place is None or place.leg > waypoint or self._state(tracked) in _NOWHERE:
+            return None
+        if place.leg == waypoint and tracked.held_s is not None:
+            return tracked.held_s
+        flight, reached_s = self._flight(tracked, tracked.factor if factor is None else factor)
+        stands_s = 0.0 if tracked.stopped_s is None else max(tracked.stopped_s - tracked.seen.t_s, 0.0)
+        remaining_s = max(float(reached_s[waypoint]) - self._now_in_s(tracked, flight, reached_s), 0.0)
+        return self._goes_on_s(tracked) + stands_s + tracked.slowness * remaining_s
 
     def _may_trim(self, k: int, pace: Pace) -> bool:
         tracked = self._tracked[k]

@@ -146,12 +146,27 @@ class FlownVehicle:
     lateness: Lateness | None = None  # where it was watched
 
 
+@dataclass(frozen=True, slots=True)
+class FlownMeeting:
+    """When vehicles were at the place of a rendezvous, since the fleet's common start; None: never, or not known."""
+
+    name: str
+    times_s: dict[str, float | None]
+
+    @property
+    def spread_s(self) -> float | None:
+        """Latest minus earliest; None when somebody was not there."""
+        known = [t_s for t_s in self.times_s.values() if t_s is not None]
+        return max(known) - min(known) if len(known) == len(self.times_s) else None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetFlight:
     """A recorded flight of a fleet plan."""
 
     vehicles: tuple[FlownVehicle, ...]
     corrections: tuple[Correction, ...] = ()
+    meetings: tuple[FlownMeeting, ...] = ()  # where it was watched
 
     @property
     def arrival_spread_s(self) -> float | None:

@@ -15,7 +15,7 @@ from rich.text import Text
 from missionplanner.autopilot_parameters import shown
 from missionplanner.certificate import Certificate, Check, Finding
 from missionplanner.flight_check import FlightCheck
-from missionplanner.plan import Clearance, FleetFlight, FleetPlan
+from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownMeeting
 
 
 def summarise(plan: FleetPlan, flight: FleetFlight | None = None, check: FlightCheck | None = None) -> dict[str, Any]:
@@ -52,6 +52,7 @@ def summarise(plan: FleetPlan, flight: FleetFlight | None = None, check: FlightC
     if flight is not None and check is not None:
         spread_s = flight.arrival_spread_s
         fleet["flown_arrival_spread_s"] = None if spread_s is None else round(spread_s, 3)
+        fleet["flown_rendezvous"] = [_meeting(meeting) for meeting in flight.meetings]
         fleet["flown_separation"] = check.separation and _clearance(check.separation)
         fleet["flown_clear"] = check.ok
     return {
@@ -115,6 +116,7 @@ def fleet_lines(summary: dict[str, Any]) -> list[str]:
     if fleet["arrival_s"] is not None:
         spread_s = fleet["flown_arrival_spread_s"]
         lines.append(f"spread of arrivals flown: {'not all arrived' if spread_s is None else f'{spread_s:.2f} s'}")
+    lines += [_meeting_line(meeting) for meeting in fleet["flown_rendezvous"]]
     if fleet["flown_separation"]:
         lines.append(f"least separation flown: {_apart(fleet['flown_separation'])}")
     lines.append("flown clear of terrain, obstacles and each other: " + ("yes" if fleet["flown_clear"] else "NO"))
@@ -221,6 +223,20 @@ def _range(speeds_m_s: Sequence[float]) -> str:
 def _resolution_line(resolution: Mapping[str, Any]) -> str:
     why = f"to keep apart from {resolution['other']} at {resolution['t_s']:.0f} s" if resolution["other"] else ""
     return f"{resolution['vehicle']} {resolution['detail']} {why}".rstrip()
+
+
+def _meeting(meeting: FlownMeeting) -> dict[str, Any]:
+    return {
+        "name": meeting.name,
+        "times_s": {name: None if t_s is None else round(t_s, 2) for name, t_s in meeting.times_s.items()},
+        "spread_s": None if meeting.spread_s is None else round(meeting.spread_s, 2),
+    }
+
+
+def _meeting_line(meeting: Mapping[str, Any]) -> str:
+    there = [f"{name} {'never' if t_s is None else f'at {t_s:.1f} s'}" for name, t_s in meeting["times_s"].items()]
+    spread = "" if meeting["spread_s"] is None else f" (within {meeting['spread_s']:.1f} s)"
+    return f"rendezvous {meeting['name']} flown: {', '.join(there)}{spread}"
 
 
 def _clearance(clearance: Clearance) -> dict[str, Any]:

@@ -12,13 +12,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from missionplanner import timing
+from missionplanner import energy, proof, timing
 from missionplanner.mission import VehicleSettings
 from missionplanner.motion import TICK_S, Navigator, Route, takeoff_points
 from missionplanner.pacing import (
     Advice,
     Course,
     Gust,
+    Haste,
+    Meeting,
     Pacer,
     Place,
     Rules,
@@ -26,11 +28,16 @@ from missionplanner.pacing import (
     Trim,
     common_delay,
     lateness_s,
+    pacer,
     place_of,
     steady_wind,
     times_at,
 )
+from missionplanner.plan import FleetPlan
+from missionplanner.planner import plan_fleet
+from missionplanner.scene import Scene
 from missionplanner.vehicle import MotionModel, motion_model
+from tests.scenes import at, question, scene_of
 
 COPTER = motion_model(VehicleSettings())
 EIGHT = ((0, 0, 30), (200, 200, 30), (200, 0, 30), (0, 200, 30), (-100, 200, 30))
@@ -626,3 +633,143 @@ def test_who_does_not_go_on_when_told_to_is_asked_again_and_not_waited_for() -> 
     assert len(asked) > 20
     assert toy.arrival_s[1] is not None
     assert toy.arrival_s[1] <= courses[1].arrival_s + 60.0 + 70.0
+
+
+# how much faster
+
+
+def scene_and_plan(name: str, **changes: object) -> tuple[Scene, FleetPlan]:
+    """Two vehicles, the first of which is planned much slower than it may fly, to arrive with the second."""
+    plane = name == "planes"
+    speed = {"min": 14, "max": 22} if plane else {"min": 3, "max": 10}
+    height = 100.0 if plane else 60.0
+    far = (9000.0, 1200.0) if plane else (3200.0, -300.0)
+    near: dict[str, object] = {"goal": at(6000, 0, agl=height)}
+    if not plane:
+        near = {"stops": [at(800, 0, agl=height)], "goal": at(1600, 560, agl=height)}
+    vehicles: list[dict[str, object]] = [
+        {"name": "near", "start": at(0, 0, agl=height), **near},
+        {"name": "far", "start": at(0, far[1], agl=height), "goal": at(*far, agl=height)},
+    ]
+    if plane:
+        vehicles = [v | {"home": at(-500, y)} for v, y in zip(vehicles, (0.0, far[1]), strict=True)]
+    defaults = {"speed_m_s": speed, "endurance_s": 6000}
+    defaults |= {"class": "plane", "end": "rtl"} if plane else {"safety": {"obstacle_m": 5, "terrain_m": 20}}
+    data = question(*vehicles, defaults=defaults, **changes)
+    scene = scene_of(data)
+    return scene, plan_fleet(scene)
+
+
+def wall(x_m: float) -> list[dict[str, object]]:
+    """Return what stands just beyond the first one's corner at 800 m."""
+    place = {"center": at(x_m, 0), "radius_m": 3.0, "top_height_agl_m": 64.0}
+    return [{"name": "wall", "kind": "cylinder", **place}]
+
+
+def sooner(which: Course) -> list[float]:
+    assert which.hastes is not None
+    return [haste.scale for haste in which.hastes]
+
+
+def test_nobody_is_hurried_beyond_the_speed_at_which_its_way_home_is_proven() -> None:
+    free = pacer(*scene_and_plan("copters"), correct=True).courses[0]
+    assert sooner(free)[-1] == free.factors[1] > 1.5
+    scene, plan = scene_and_plan("copters", obstacles=wall(825.0))
+    watched = pacer(scene, plan, correct=True)
+    course_ = watched.courses[0]
+    greatest = max([1.0, *sooner(course_)])
+    assert greatest < course_.factors[1]
+
+    def problems(scale: float) -> list[str]:
+        sortie = proof.planned_sortie(scene, plan.vehicles[0])
+        legs = tuple(replace(leg, speed_m_s=scale * leg.speed_m_s) for leg in sortie.legs)
+        certificate = proof.prove(scene, [replace(sortie, legs=legs)])
+        return [str(finding) for finding in certificate.problems if finding.vehicle == "near"]
+
+    assert not problems(greatest)
+    assert any("wall" in problem for problem in problems(course_.factors[1]))
+    # asked to arrive much too early, that is as fast as it is told to fly
+    watched.saw(
+        0, Sighting(100.0, course_.planned.at(100.0), np.array([5.0, 0.0, 0.0]), waypoint_at(course_, 100.0), True)
+    )
+    assert watched._factor_for(watched._tracked[0], 0.0) == pytest.approx(greatest)
+
+
+def test_nobody_is_hurried_where_only_its_times_are_watched_or_ways_home_are_waived() -> None:
+    scene, plan = scene_and_plan("copters", obstacles=wall(825.0))
+    assert pacer(scene, plan, correct=False).courses[0].hastes is None
+    waived = scene_and_plan("copters", obstacles=wall(825.0), fleet={"direct_return": "waived"})
+    which = pacer(*waived, correct=True).courses[0]
+    assert sooner(which)[-1] == which.factors[1]
+
+
+def with_endurance(scene: Scene, endurance_s: float) -> Scene:
+    vehicles = tuple(v.model_copy(update={"endurance_s": endurance_s}) for v in scene.mission.vehicles)
+    return replace(scene, mission=scene.mission.model_copy(update={"vehicles": vehicles}))
+
+
+def test_nobody_is_hurried_beyond_what_its_battery_lasts() -> None:
+    scene, plan = scene_and_plan("planes")
+    ample = pacer(scene, plan, correct=True).courses[0]
+    flight = plan.vehicles[0].trajectory
+    model = energy.energy_model(scene.mission.vehicles[0])
+    assert model is not None
+    used = float(energy.used_share(model, flight, 0.0)[-1])
+    # so little that it is just enough as planned
+    scene = with_endurance(scene, 6000.0 * used / (1.0 - model.reserve_share) * 1.02)
+    watched = pacer(scene, plan, correct=True)
+    scarce = watched.courses[0]
+    assert max([1.0, *sooner(scarce)]) < 1.2 < max(sooner(ample))
+    model = energy.energy_model(scene.mission.vehicles[0])
+    assert model is not None
+    assert scarce.hastes is not None
+    for haste in scarce.hastes:
+        faster, _ = timing.predict_flight(
+            scarce.model,
+            scarce.home_m,
+            scarce.waypoints_m,
+            scarce.speeds(haste.scale),
+            end="rtl",
+            until_s=flight.t_s[-1],
+        )
+        assert energy.used_share(model, faster, 0.0)[-1] <= 1.0 - model.reserve_share
+        assert haste.spare_s >= 0.0
+
+
+def test_time_lost_in_the_air_leaves_less_to_hurry_with() -> None:
+    way = replace(line("uav1", 0.0, 2400.0), hastes=(Haste(1.2, 60.0), Haste(1.4, 20.0)))
+    assert way.greatest(0.0) == 1.4
+    assert way.greatest(30.0) == 1.2
+    assert way.greatest(90.0) == 1.0
+    toy = Toy([way], late_s=(40.0,))
+    toy.run(120.0)
+    (tracked,) = toy.pacer._tracked
+    assert tracked.lost_s == 0.0  # on the ground nothing is lost
+    assert toy.pacer._bounds(tracked)[1] == 1.4
+    toy.navigators[0].halt(0)
+    toy.run(150.0)
+    toy.navigators[0].resume(0)
+    toy.run(180.0)
+    assert 25.0 <= tracked.lost_s <= 35.0
+    assert toy.pacer._bounds(tracked)[1] == 1.2
+    assert float(way.speeds(1.2)[0]) == pytest.approx(toy.commanded[-1][2], abs=0.01)
+
+
+# meetings on the way
+
+
+def test_a_meeting_that_is_missed_is_told_once() -> None:
+    courses = three()
+    undisturbed = Toy(courses)
+    undisturbed.pacer.meetings = (Meeting("tea", {0: 0, 1: 0}),)
+    assert not [r for advice in undisturbed.run().advice for r in advice.remarks]
+    toy = Toy(courses, late_s=(0.0, 15.0, 0.0))
+    toy.pacer.meetings = (Meeting("tea", {0: 1, 1: 1}),)
+    toy.run()
+    told = {remark for advice in toy.advice for remark in advice.remarks if "rendezvous" in remark}
+    begins_s = [c.reached_s[1] for c in courses]
+    (tea,) = told
+    assert tea.startswith("rendezvous tea is missed: fast is there")
+    at_s = [toy.pacer._tracked[k].reached_s[1] for k in range(2)]
+    assert at_s[0] == pytest.approx(begins_s[0], abs=1.0)
+    assert at_s[1] == pytest.approx(begins_s[1] + 15.0, abs=1.5)
