@@ -127,6 +127,9 @@ class Course:
         return self.speed_min_m_s / float(self.speed_m_s.max()), self.speed_max_m_s / float(self.speed_m_s.min())
 
 
+_AT_PLACE_M = 0.1
+
+
 class Meeting(NamedTuple):
     """A rendezvous: which waypoint of each vehicle (by its index) it is."""
 
@@ -142,8 +145,8 @@ def meetings(scene: Scene, plan: FleetPlan) -> tuple[Meeting, ...]:
         at: dict[int, int] = {}
         for name, place in rendezvous.at.items():
             task = scene.tasks[index[name]]
-            stops = passes(task.route_m, plan.vehicles[index[name]].waypoints_m)
-            number = task.places.get(str(place), len(stops))
+            stops = passes(task.route_m, plan.vehicles[index[name]].waypoints_m, _AT_PLACE_M)
+            number = task.places.get(place, len(stops))
             if number < len(stops):
                 at[index[name]] = stops[number]
         if len(at) > 1:
@@ -1112,8 +1115,8 @@ class Pacer:
             first, last = min(known, key=lambda name: known[name]), max(known, key=lambda name: known[name])
             if known[last] - known[first] > self.rules.meeting_s:
                 self._missed[meeting.name] = (
-                    f"rendezvous {meeting.name} is missed: {first} is there {known[last] - known[first]:.0f} s before "
-                    f"{last}; corrections keep the arrivals together, not meetings on the way"
+                    f"rendezvous {meeting.name} is missed by more than {self.rules.meeting_s:g} s: {first} is there "
+                    f"before {last}; corrections keep the arrivals together, not meetings on the way"
                 )
 
     def _there_s(self, tracked: _Tracked, waypoint: int, factor: float | None) -> float | None:

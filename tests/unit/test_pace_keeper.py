@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from adapters.telemetry_log import FleetLog, read_log
 from missionplanner import timing
 from missionplanner.errors import LinkError
-from missionplanner.pacing import Course, Pacer, Rules
+from missionplanner.pacing import Course, Meeting, Pacer, Rules
 from missionplanner.plan import FleetFlight, FleetPlan
 from missionplanner.plan_folder import load_flight, save_flight
 from missionplanner.vehicle import Autopilot
@@ -307,3 +307,30 @@ def test_long_before_the_watch_gives_up_nobody_stands_any_more() -> None:
     assert any(c.to_m_s == 0.0 for c in flight.corrections)
     assert all(v.arrival_s is not None for v in flight.vehicles)
     assert rig.clock.now_s() - begun_s < 2.0 * longest_s + 120.0
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_when_vehicles_were_where_they_were_to_meet_is_recorded(autopilot: Autopilot) -> None:
+    rig = Late(long_fleet(autopilot))
+    rig.upload()
+    rig.link.start()
+    which = courses(rig.link._plan)
+    pacer = Pacer(which, lambda _i, _j: 20.0, meetings=(Meeting("tea", {0: 1, 1: 2}),), correct=False)
+    flight = rig.link.watch(pacer=pacer, tell=rig.told.append)
+    (tea,) = flight.meetings
+    assert tea.name == "tea"
+    for name, k, waypoint, late_s in (("uav1", 0, 1, 8.0), ("uav2", 1, 2, 0.0)):
+        assert tea.times_s[name] == pytest.approx(float(which[k].reached_s[waypoint]) + late_s, abs=1.5)
+    assert sum("rendezvous tea is missed" in line for line in rig.told) == 1
+
+
+def test_who_never_comes_to_a_meeting_has_no_time_there() -> None:
+    rig = Late(long_fleet())
+    rig.upload()
+    rig.link.start()
+    rig.sim.advance(15.0)
+    rig.link.order("land")
+    pacer = Pacer(courses(rig.link._plan), lambda _i, _j: 20.0, meetings=(Meeting("tea", {0: 3, 1: 3}),))
+    (tea,) = rig.link.watch(pacer=pacer).meetings
+    assert tea.times_s == {"uav1": None, "uav2": None}
+    assert tea.spread_s is None

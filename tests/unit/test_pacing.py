@@ -758,6 +758,20 @@ def test_time_lost_in_the_air_leaves_less_to_hurry_with() -> None:
 # meetings on the way
 
 
+def test_meetings_are_waypoints_of_the_plan() -> None:
+    height = 40.0
+    vehicles = [
+        {"name": n, "start": at(0, y, agl=height), "stops": [at(200, y, agl=height)], "goal": at(400, y, agl=height)}
+        for n, y in (("a", 0), ("b", 80))
+    ]
+    scene = scene_of(question(*vehicles, fleet={"rendezvous": [{"name": "r", "at": {"a": 0, "b": 1}}]}))
+    plan = plan_fleet(scene)
+    (meeting,) = pacer(scene, plan, correct=False).meetings
+    assert meeting.name == "r"
+    for k, place_m in ((0, (0.0, 0.0)), (1, (200.0, 80.0))):
+        np.testing.assert_allclose(plan.vehicles[k].waypoints_m[meeting.waypoints[k], :2], place_m, atol=0.02)
+
+
 def test_a_meeting_that_is_missed_is_told_once() -> None:
     courses = three()
     undisturbed = Toy(courses)
@@ -769,7 +783,7 @@ def test_a_meeting_that_is_missed_is_told_once() -> None:
     told = {remark for advice in toy.advice for remark in advice.remarks if "rendezvous" in remark}
     begins_s = [c.reached_s[1] for c in courses]
     (tea,) = told
-    assert tea.startswith("rendezvous tea is missed: fast is there")
+    assert tea.startswith("rendezvous tea is missed by more than 5 s: fast is there before middle")
     at_s = [toy.pacer._tracked[k].reached_s[1] for k in range(2)]
     assert at_s[0] == pytest.approx(begins_s[0], abs=1.0)
     assert at_s[1] == pytest.approx(begins_s[1] + 15.0, abs=1.5)

@@ -11,7 +11,7 @@ from rich.table import Table
 from missionplanner.certificate import Certificate, Finding
 from missionplanner.flight_check import FlightCheck
 from missionplanner.mission import Wind
-from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownVehicle
+from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownMeeting, FlownVehicle
 from missionplanner.summary import certificate_table, fleet_lines, moves_table, summarise, vehicle_table
 from tests.plans import fleet_plan, small_fleet
 
@@ -183,3 +183,14 @@ def test_moved_waypoints_in_a_table() -> None:
     text = shown(moves_table([move, {**move, "shifted_m": 3.5, "course_deg": 271.4}]))
     for part in ("waypoints moved: 2", "uav1", "7", "+12.25", "46.5000000, 8.0000000", "112.25", "3.50", "271"):
         assert part in text
+
+
+def test_flown_meetings_are_told() -> None:
+    fleet = plan()
+    met = (FlownMeeting("tea", {"uav1": 20.0, "uav2": 21.46}), FlownMeeting("supper", {"uav1": 30.0, "uav2": None}))
+    flown = replace(flight(fleet, 40.0, 40.0), meetings=met)
+    found = summarise(fleet, flown, FlightCheck(clearances=((), ()), separation=None))
+    assert [m["spread_s"] for m in found["fleet"]["flown_rendezvous"]] == [1.46, None]
+    lines = fleet_lines(found)
+    assert "rendezvous tea flown: uav1 at 20.0 s, uav2 at 21.5 s (within 1.5 s)" in lines
+    assert "rendezvous supper flown: uav1 at 30.0 s, uav2 never" in lines
