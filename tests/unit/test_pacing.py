@@ -755,6 +755,15 @@ def test_time_lost_in_the_air_leaves_less_to_hurry_with() -> None:
     assert float(way.speeds(1.2)[0]) == pytest.approx(toy.commanded[-1][2], abs=0.01)
 
 
+def test_who_has_hurried_may_be_less_late() -> None:
+    way = line("uav1", 0.0, 2400.0)
+    way = replace(way, spare_s=np.full(len(way.planned.t_s), 50.0), hastes=(Haste(1.2, 80.0), Haste(1.4, 20.0)))
+    place = Place(2, 0.5)
+    assert way.latest_s(place) == way.arrival_s + 50.0
+    assert way.latest_s(place, 1.1) == way.arrival_s + 50.0
+    assert way.latest_s(place, 1.3) == way.arrival_s + 20.0
+
+
 # meetings on the way
 
 
