@@ -347,7 +347,6 @@ class FleetLink:
         def sighting(i: int, now_s: float) -> Sighting | None:
             return None if vehicles[i].plan.sysid in self._grounded else vehicles[i].sighting(now_s)
 
-        self._keeper = None
         if pacer is not None:
             self._keeper = PaceKeeper(pacer, self._station, vehicles, sighting, self._log, tell)
         while True:
