@@ -62,6 +62,7 @@ _CLIMB_KEPT = 0.75
 """ArduCopter climbs anew from its stopping point while it still brakes to that: 0.8 remain at WPNAV_JERK = 1 m/s^3."""
 
 _SLOW_M_S = 0.3  # no direction is made of less
+_PX4_GAINING_S = 0.75  # MPC_ACC_HOR / MPC_JERK_AUTO
 _PX4_UNSEEN_M_S = 1.2
 """What PX4's trajectory gains to the side or backwards at most, by default, while it loses an acceleration.
 
@@ -303,9 +304,14 @@ def stopping_region(v: Returning, p: FloatArray) -> tuple[FloatArray, FloatArray
     braking_s = np.where(
         slow, 0.0, 0.5 * speed / brakes_m_s2 + lag_s
     )  # it stops along its leg, and so climbs meanwhile
+    # with little jerk PX4 goes on gaining speed along its leg, up and down too, for longer than at its default
+    gaining_s = max(0.0, a / jerk - _PX4_GAINING_S) if motion.autopilot == "px4" else 0.0
     drop, rise = (
-        np.maximum(_overrun_m(motion, rate), rate * braking_s)
-        for rate in (np.maximum(-sink, 0.0), np.maximum(climb, 0.0))
+        np.maximum(_overrun_m(motion, rate), rate * braking_s) + np.where(rate > 0.0, most_m_s * gaining_s, 0.0)
+        for rate, most_m_s in (
+            (np.maximum(-sink, 0.0), motion.descent_rate_m_s),
+            (np.maximum(climb, 0.0), motion.climb_rate_m_s),
+        )
     )
     return stop, swing, drop, rise, lift
 
