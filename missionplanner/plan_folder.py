@@ -30,6 +30,7 @@ from missionplanner.plan import (
     Correction,
     FleetFlight,
     FleetPlan,
+    FlownMeeting,
     FlownVehicle,
     Lateness,
     Resolution,
@@ -138,12 +139,18 @@ class _CorrectionRecord(_Record):
     obeyed: bool
 
 
+class _MeetingRecord(_Record):
+    name: str
+    times_s: dict[str, float | None]
+
+
 class _FlightRecord(_Record):
     format: Literal["missionplanner-flight"]
     version: Literal[1]
     unproven: bool = False
     vehicles: tuple[_FlownRecord, ...]
     corrections: tuple[_CorrectionRecord, ...] = ()
+    meetings: tuple[_MeetingRecord, ...] = ()
 
 
 class _CertificateRecord(_Record):
@@ -258,6 +265,7 @@ def save_flight(folder: Path, flight: FleetFlight, *, unproven: bool = False) ->
             for vehicle in flight.vehicles
         ],
         "corrections": [asdict(correction) for correction in flight.corrections],
+        "meetings": [asdict(meeting) for meeting in flight.meetings],
     }
     path = folder / FLIGHT_NAME
     write_atomic(path, json.dumps(document, allow_nan=False) + "\n")
@@ -300,6 +308,7 @@ def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
             for v in record.vehicles
         ),
         tuple(Correction(**correction.model_dump()) for correction in record.corrections),
+        tuple(FlownMeeting(meeting.name, meeting.times_s) for meeting in record.meetings),
     )
 
 

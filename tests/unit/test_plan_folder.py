@@ -12,7 +12,7 @@ import pytest
 
 from missionplanner.certificate import Certificate
 from missionplanner.errors import MissionError
-from missionplanner.plan import FleetFlight, FleetPlan, FlownVehicle, Trajectory
+from missionplanner.plan import Correction, FleetFlight, FleetPlan, FlownMeeting, FlownVehicle, Trajectory
 from missionplanner.plan_folder import (
     CERTIFICATE_NAME,
     FLIGHT_NAME,
@@ -357,6 +357,16 @@ def flight_of(plan: FleetPlan) -> FleetFlight:
             FlownVehicle(bravo.name, bravo.sysid, Trajectory(np.array([0.0]), np.zeros((1, 3))), None, None),
         )
     )
+
+
+def test_what_was_corrected_and_met_on_the_way_is_read_back(small: tuple[Scene, FleetPlan], folder: Path) -> None:
+    plan = small[1]
+    corrections = (Correction("alpha", 31.5, 6.0, 7.25, "to arrive with the others", True),)
+    meetings = (FlownMeeting("line", {"alpha": 40.25, "bravo": None}),)
+    save_flight(folder, replace(flight_of(plan), corrections=corrections, meetings=meetings))
+    loaded = load_flight(folder, plan)
+    assert loaded is not None
+    assert (loaded.corrections, loaded.meetings) == (corrections, meetings)
 
 
 def test_a_flight_is_read_back_to_the_millimetre(small: tuple[Scene, FleetPlan], folder: Path) -> None:
