@@ -678,7 +678,7 @@ def test_what_the_vehicles_hold_is_proven_again_after_reading_it_back(
 
 # --- real files
 
-SAMPLES = Path("/work/shared/samples")
+SAMPLES = Path(__file__).parents[3] / "shared" / "samples"
 _PLACES = [(-35.363262, 149.165237, 584.0), (47.3977, 8.5456, 488.0), (47.6305, -122.0864, 9.0), (36.32, 138.65, 985.0)]
 
 
