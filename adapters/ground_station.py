@@ -278,11 +278,7 @@ class Station(Generic[AnyPeer]):
     ) -> Waiting[ParameterValue | None]:
         """Read a parameter; None where it is optional and, as the known parameter ``witness`` shows, does not exist."""
         read = ParameterRead(peer.party, autopilot, setting.names, witness=witness if setting.optional else None)
-        peer.parameter = read
-        while not read.done:
-            self.send(peer, read.poll(self.clock.now_s()))
-            yield
-        peer.parameter = None
+        yield from self._until_done(peer, read)
         return read.held
 
     def reading_many(
@@ -290,11 +286,7 @@ class Station(Generic[AnyPeer]):
     ) -> Waiting[list[ParameterValue | None]]:
         """Read parameters, each by the names that firmware gives it; None for one that does not exist."""
         read = ParametersRead(peer.party, autopilot, groups)
-        peer.parameter = read
-        while not read.done:
-            self.send(peer, read.poll(self.clock.now_s()))
-            yield
-        peer.parameter = None
+        yield from self._until_done(peer, read)
         return read.held
 
     def listing(
@@ -302,22 +294,23 @@ class Station(Generic[AnyPeer]):
     ) -> Waiting[dict[str, ParameterValue]]:
         """Read all parameters there are, by name; ``tell`` hears how many of how many have come."""
         read = ParameterList(peer.party, autopilot)
-        peer.parameter = read
-        while not read.done:
-            self.send(peer, read.poll(self.clock.now_s()))
+        for _ in self._until_done(peer, read):
             if read.total is not None:
                 tell(read.read, read.total)
             yield
-        peer.parameter = None
         tell(len(read.held), len(read.held))
         return read.held
 
     def setting(self, peer: Peer, autopilot: Autopilot, held: ParameterValue, value: float) -> Steps:
         """Set a parameter to a value that its type can hold."""
         change = ParameterSet(peer.party, autopilot, held, value)
-        peer.parameter = change
-        while not change.done:
-            self.send(peer, change.poll(self.clock.now_s()))
+        yield from self._until_done(peer, change)
+
+    def _until_done(self, peer: Peer, dialogue: ParameterRead | ParametersRead | ParameterList | ParameterSet) -> Steps:
+        """Let a dialogue about parameters hear the vehicle and say what it has to, until it is done."""
+        peer.parameter = dialogue
+        while not dialogue.done:
+            self.send(peer, dialogue.poll(self.clock.now_s()))
             yield
         peer.parameter = None
 

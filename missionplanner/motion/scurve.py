@@ -313,9 +313,3 @@ def _rise_times(
         return peak, ramp_s, max(0.0, top / peak - ramp_s), 0.0
     jerk_s = acceleration / peak - ramp_s
     return peak, ramp_s, jerk_s, rise / acceleration - (jerk_s + 2.0 * ramp_s)
-
-
-@kernel
-def _projected(leg: FloatArray, horizontal: float, up: float, down: float) -> float:
-    """Return the greatest speed (or acceleration) along a leg that keeps horizontal and vertical limits."""
-    return projected(leg[UX], leg[UX + 1], leg[UX + 2], horizontal, up, down)
