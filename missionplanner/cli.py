@@ -19,10 +19,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import Progress, TaskID
 
+from missionplanner import experiment_commands
 from missionplanner.errors import InfeasibleError, LinkError, MissionError, MissionPlannerError
+from missionplanner.terminal import Told, print_json, progress_bars, stderr, stdout
 
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
     from adapters.certificates import Held
@@ -43,10 +44,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+app.add_typer(experiment_commands.app, name="experiment")
 FILES, LOGS = "files", "logs"
 _ORDERS = ("auto", "hold", "land", "rtl")
-_stdout = Console(width=None if sys.stdout.isatty() else 120)
-_stderr = Console(stderr=True)
 
 MissionFile = Annotated[Path, typer.Argument(metavar="MISSION", help="mission file (YAML)")]
 PlanFolder = Annotated[Path, typer.Argument(metavar="FOLDER", help="plan folder")]
@@ -62,10 +62,6 @@ Unproven = Annotated[
 ConnectUrls = Annotated[str, typer.Option("--connect", metavar="URL[,URL...]", help="links to the vehicles")]
 
 
-class _Told(SystemExit):
-    """An end whose reason has been told, and printed as JSON where that was asked for."""
-
-
 def main() -> None:
     """Run the command line and turn our errors into one line and an exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
@@ -76,7 +72,7 @@ def main() -> None:
         if "--json" in sys.argv:
             print(json.dumps({"error": {"message": str(error), "exit_code": error.exit_code}}))
         sys.exit(error.exit_code)
-    except _Told:
+    except Told:
         raise
     except SystemExit as ended:
         if ended.code == MissionError.exit_code and "--json" in sys.argv:  # wrong usage, told on stderr
@@ -93,9 +89,9 @@ def validate(mission: MissionFile, as_json: AsJson = False) -> None:
     """Check a mission file, its terrain and places, without planning."""
     scene = _scene(mission)
     if as_json:
-        _print_json({"mission": scene.mission.name, "vehicles": [t.name for t in scene.tasks], "valid": True})
+        print_json({"mission": scene.mission.name, "vehicles": [t.name for t in scene.tasks], "valid": True})
     else:
-        _stdout.print(
+        stdout.print(
             f"{mission}: {scene.mission.name} is sound: {len(scene.tasks)} vehicles, "
             f"{len(scene.obstacles.names)} obstacles, terrain {scene.terrain.description}",
             soft_wrap=True,
@@ -154,15 +150,15 @@ def check(
     else:
         raise MissionError("--mission: expected mission files (.plan, .waypoints) or --connect")
     if as_json:
-        _print_json(certificate.as_json() | {"moved": moves} | {name: str(path) for name, path in paths.items()})
+        print_json(certificate.as_json() | {"moved": moves} | {name: str(path) for name, path in paths.items()})
     else:
         from missionplanner.summary import certificate_table, moves_table
 
         if repair:
-            _stdout.print(moves_table(moves))
-        _stdout.print(certificate_table(certificate))
+            stdout.print(moves_table(moves))
+        stdout.print(certificate_table(certificate))
         for name, path in paths.items():
-            _stdout.print(f"{name}: {path}", soft_wrap=True, highlight=False)
+            stdout.print(f"{name}: {path}", soft_wrap=True, highlight=False)
     if not certificate.proven:
         raise _verdict(f"not proven: {certificate.refusal}")
 
@@ -180,10 +176,10 @@ def export(folder: PlanFolder, output: Output = None, as_json: AsJson = False) -
         raise InfeasibleError(f"{folder}: not proven: {certificate.refusal}; nothing was written")
     paths = export_fleet(fleet_plan, output or folder / FILES)
     if as_json:
-        _print_json({"files": [str(path) for path in paths]})
+        print_json({"files": [str(path) for path in paths]})
     else:
         for path in paths:
-            _stdout.print(str(path), soft_wrap=True, highlight=False)
+            stdout.print(str(path), soft_wrap=True, highlight=False)
 
 
 @app.command()
@@ -246,10 +242,10 @@ def upload(
         _transfer(link, scene, fleet_plan, unproven=unproven)
     if as_json:
         missions = [{"sysid": sysid, "items": len(items), "verified": True} for sysid, items in link.items.items()]
-        _print_json({"mission": fleet_plan.mission.name, "folder": str(folder), "vehicles": missions})
+        print_json({"mission": fleet_plan.mission.name, "folder": str(folder), "vehicles": missions})
     else:
         for vehicle in fleet_plan.vehicles:
-            _stdout.print(f"{vehicle.name} (sysid {vehicle.sysid}): {len(link.items[vehicle.sysid])} items, verified")
+            stdout.print(f"{vehicle.name} (sysid {vehicle.sysid}): {len(link.items[vehicle.sysid])} items, verified")
 
 
 @app.command()
@@ -314,7 +310,7 @@ def fly(
                     folder, recorded, unproven=unproven
                 )  # also of a flight that ended badly: then it is wanted most
     check = check_flight(scene, fleet_plan, flight)
-    with _stderr.status("writing the report"):
+    with stderr.status("writing the report"):
         report_path = write_report(folder, scene, fleet_plan, flight)
     _show(fleet_plan, folder, as_json, flight, check, report_path)
     missing = [vehicle.name for vehicle in flight.vehicles if vehicle.arrival_s is None]
@@ -409,7 +405,7 @@ def _ground_station(
         # who stands further off than its tube is wide does not climb where that was proven
         home_tolerance_m = min(task.limits.tube_m for task in scene.tasks)
         link = FleetLink(fleet_plan, endpoints, clock, log=log, home_tolerance_m=home_tolerance_m)
-        with _stderr.status("looking for the vehicles"):
+        with stderr.status("looking for the vehicles"):
             link.connect()
         yield link
 
@@ -426,7 +422,7 @@ def _transfer(link: FleetLink, scene: Scene, fleet_plan: FleetPlan, *, unproven:
     from adapters.certificates import certify, held_by_vehicles
 
     _compare_parameters(link, unproven=unproven)
-    with _progress() as progress:
+    with progress_bars() as progress:
         link.upload(_transfer_bars(progress, "uploading"))
         link.verify(_transfer_bars(progress, "verifying"))
         certificate = certify(scene, held_by_vehicles(fleet_plan, link.held), arrival_s=fleet_plan.arrival_s)
@@ -443,7 +439,7 @@ def _transfer(link: FleetLink, scene: Scene, fleet_plan: FleetPlan, *, unproven:
 
 def _compare_parameters(link: FleetLink, *, unproven: bool) -> None:
     """Refuse vehicles that hold other parameters than their plans were made with: their flights would be others."""
-    with _stderr.status("reading the vehicles' parameters"):
+    with stderr.status("reading the vehicles' parameters"):
         comparisons = link.compare_parameters()
     for comparison in comparisons:
         for told in comparison.absent:
@@ -471,7 +467,7 @@ def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, pacer: Pacer, *, si
     """Start all together and watch until all have ended; an interrupt asks what the vehicles shall do."""
     failure: LinkError | None = None
     try:
-        with _stderr.status("waiting until all can be armed") as status:
+        with stderr.status("waiting until all can be armed") as status:
             at_s = None if simulated else _start_on_clock(link, fleet_plan, status.update)
             link.start(lambda name, missing: status.update(f"{name}: {missing}"), at_s=at_s)
     except LinkError as error:
@@ -520,7 +516,7 @@ def _clock_start(fleet_plan: FleetPlan, now: datetime) -> datetime | None:
 
 
 def _watch(link: FleetLink, fleet_plan: FleetPlan, pacer: Pacer, *, simulated: bool) -> FleetFlight:
-    with _progress() as progress:
+    with progress_bars() as progress:
         ends_s = {vehicle.sysid: float(vehicle.trajectory.t_s[-1]) for vehicle in fleet_plan.vehicles}
         bars = {v.sysid: progress.add_task(f"flying {v.name}", total=ends_s[v.sysid]) for v in fleet_plan.vehicles}
 
@@ -598,7 +594,7 @@ def parameters(
         expected = [vehicle.sysid or index for index, vehicle in enumerate(question.vehicles, start=1)]
     with ExitStack() as stack:
         endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in _urls(connect)]
-        progress = stack.enter_context(_progress())
+        progress = stack.enter_context(progress_bars())
         found = read_parameters(
             endpoints,
             WallClock(endpoints),
@@ -622,12 +618,12 @@ def parameters(
         )
     rows = [vehicle.as_json(held) for vehicle, held in zip(checked, found.values(), strict=True)]
     if as_json:
-        _print_json({"vehicles": rows} | ({} if output is None else {"file": str(output)}))
+        print_json({"vehicles": rows} | ({} if output is None else {"file": str(output)}))
     else:
         for row in rows:
-            _stdout.print(parameter_table(row))
+            stdout.print(parameter_table(row))
         if output is not None:
-            _stdout.print(f"file: {output}", soft_wrap=True, highlight=False)
+            stdout.print(f"file: {output}", soft_wrap=True, highlight=False)
     problems = [vehicle.problem for vehicle in checked if vehicle.problem is not None]
     if problems:
         raise _verdict("; ".join(problems))
@@ -643,7 +639,7 @@ def report(folder: PlanFolder, as_json: AsJson = False) -> None:
     scene, fleet_plan = load_plan(folder)
     fleet_plan = replace(fleet_plan, certificate=certify_plan(scene, fleet_plan))
     path = write_report(folder, scene, fleet_plan, load_flight(folder, fleet_plan))
-    _print_json({"report": str(path)}) if as_json else _stdout.print(str(path), soft_wrap=True, highlight=False)
+    print_json({"report": str(path)}) if as_json else stdout.print(str(path), soft_wrap=True, highlight=False)
 
 
 @app.command()
@@ -680,7 +676,7 @@ def replay(
     ensure_writable(folder)
     fleet = hold_against(fleet_plan, found.flown, found.reached_s)
     document = {"mission": fleet_plan.mission.name} | fleet.as_json() | found.as_json()
-    with _stderr.status("writing the report"):
+    with stderr.status("writing the report"):
         files = save_replay(folder, fleet, document)
         page = write_replay(
             folder,
@@ -692,85 +688,17 @@ def replay(
         )
     files = {"report": page, **files}
     if as_json:
-        _print_json(document | {"files": {name: str(path) for name, path in files.items()}})
+        print_json(document | {"files": {name: str(path) for name, path in files.items()}})
     else:
         from missionplanner.summary import replay_lines, replay_table
 
-        _stdout.print(replay_table(document))
+        stdout.print(replay_table(document))
         for line in [*replay_lines(document), *(f"{what}: {path}" for what, path in files.items())]:
-            _stdout.print(line, soft_wrap=True, highlight=False, markup=False)
+            stdout.print(line, soft_wrap=True, highlight=False, markup=False)
     for problem in found.problems:
         print(f"missionplanner: {problem}", file=sys.stderr)
     if found.problems:
-        raise _Told(MissionError.exit_code)
-
-
-@app.command()
-def experiment(
-    name: Annotated[
-        Literal["proof", "fidelity", "arrival", "scale"],
-        typer.Argument(
-            metavar="NAME",
-            help="proof: soundness, tightness and speed; fidelity: predicted against recorded flights; arrival: common "
-            "arrival in simulation, disturbed in several ways; scale: cost and the number of vehicles",
-        ),
-    ],
-    output: Output = None,
-    seed: Annotated[int, typer.Option(min=0, help="arrival: the first of them")] = 1,
-    seeds: Annotated[int, typer.Option(min=1, help="arrival: plans, each with a seed of its own")] = 20,
-    quick: Annotated[bool, typer.Option("--quick", help="not fidelity: a small part of it")] = False,
-    mission: Annotated[
-        Path, typer.Option(help="proof: mission file whose terrain is used; arrival: mission file that is flown")
-    ] = Path("missions/san_gabriel.yaml"),
-    samples: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="proof: also check the .plan and .waypoints files there")
-    ] = None,
-    flights: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="fidelity: recorded flights (docs/FIDELITY.md)")
-    ] = None,
-    update: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="fidelity: Markdown file whose table is brought up to date")
-    ] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Measure this software: results, tables and figures go to a folder (default: out/experiment_NAME)."""
-    folder = output or Path("out") / f"experiment_{name}"
-    if (name == "fidelity") != (flights is not None):
-        raise MissionError("--flights: expected with fidelity, a folder of recorded flights; and only there")
-    with _progress() as progress:
-        bars: dict[str, TaskID] = {}
-
-        def show(what: str, done: float) -> None:
-            if what not in bars:
-                bars[what] = progress.add_task(what, total=1.0)
-            progress.update(bars[what], completed=done)
-
-        if flights is not None:
-            from missionplanner.experiments import fidelity
-
-            figures = fidelity.main(folder, flights=flights, update=update, progress=show)
-        elif name == "arrival":
-            from missionplanner.experiments import arrival
-
-            figures = arrival.main(folder, mission=mission, seed=seed, seeds=seeds, quick=quick, progress=show)
-        elif name == "scale":
-            from missionplanner.experiments import scale
-
-            figures = scale.main(folder, seed=seed, quick=quick, progress=show)
-        else:
-            from missionplanner.experiments import proof
-
-            figures = proof.main(folder, mission=mission, seed=seed, quick=quick, samples=samples, progress=show)
-    if as_json:
-        _print_json(figures)
-    else:
-        text = (folder / "results.md").read_text(encoding="utf-8")
-        _stdout.print(text, markup=False, highlight=False, soft_wrap=True)
-    unreadable = figures.get("unreadable", [])
-    for flight in unreadable:
-        print(f"missionplanner: {flight['error']}", file=sys.stderr)
-    if unreadable:
-        raise _Told(MissionError.exit_code)
+        raise Told(MissionError.exit_code)
 
 
 @app.command()
@@ -778,7 +706,7 @@ def schema() -> None:
     """Print the JSON Schema of the mission file."""
     from missionplanner.mission import mission_schema
 
-    _print_json(mission_schema())
+    print_json(mission_schema())
 
 
 def _mission(path: Path) -> Mission:
@@ -830,7 +758,7 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
     compiling = begin()
     if compiling is not None:
         print("first run: compiling the kernels takes half a minute, once", file=sys.stderr)
-    with _progress() as progress:
+    with progress_bars() as progress:
         bars: dict[str, TaskID] = {}
 
         def watch(vehicle: str, done: float) -> None:
@@ -874,7 +802,7 @@ def _load_proven(folder: Path, *, unproven: bool) -> tuple[Scene, FleetPlan]:
 
 
 def _tell_unproven(problem: str) -> None:
-    _stderr.print(f"UNPROVEN: {problem}", style="bold red", soft_wrap=True, highlight=False, markup=False)
+    stderr.print(f"UNPROVEN: {problem}", style="bold red", soft_wrap=True, highlight=False, markup=False)
 
 
 def _check_folder(folder: Path) -> tuple[Certificate, dict[str, Path]]:
@@ -919,7 +847,7 @@ def _check_vehicles(mission: Path, connect: str, output: Path | None) -> tuple[C
     with ExitStack() as stack:
         endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in _urls(connect)]
         sysids = [vehicle.sysid or index for index, vehicle in enumerate(question.vehicles, start=1)]
-        with _stderr.status("reading the vehicles' missions"):
+        with stderr.status("reading the vehicles' missions"):
             downloaded = download_missions(endpoints, WallClock(endpoints), expected=sysids)
     scene, missions = read_vehicles(question, mission.parent, downloaded)
     certificate = certify(scene, missions)
@@ -953,22 +881,8 @@ def _show(
     if report_path is not None:
         files["report"] = str(report_path)
     if as_json:
-        _print_json(summary | files)
+        print_json(summary | files)
         return
-    _stdout.print(vehicle_table(summary))
+    stdout.print(vehicle_table(summary))
     for line in [*fleet_lines(summary), *(f"{what}: {path}" for what, path in files.items())]:
-        _stdout.print(line, soft_wrap=True, highlight=False, markup=False)
-
-
-def _progress() -> Progress:
-    columns = (
-        TextColumn("{task.description:<22}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-    )
-    return Progress(*columns, console=_stderr, disable=not _stderr.is_terminal)
-
-
-def _print_json(value: Any) -> None:
-    print(json.dumps(value, indent=2, allow_nan=False))
+        stdout.print(line, soft_wrap=True, highlight=False, markup=False)

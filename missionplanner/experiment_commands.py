@@ -1,0 +1,129 @@
+"""``missionplanner experiment NAME``: one command per experiment, each with the options that it has.
+
+Results, tables and figures go to a folder (default: out/experiment_NAME); ``results.md`` there is what is printed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.progress import TaskID
+
+from missionplanner.errors import MissionError
+from missionplanner.terminal import Told, print_json, progress_bars, stdout
+
+Show = Callable[[str, float], None]
+"""Told what is being done, and the share of it that is done."""
+
+app = typer.Typer(
+    help="Measure this software: results, tables and figures go to a folder (default: out/experiment_NAME).",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+
+Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="default: out/experiment_NAME")]
+AsJson = Annotated[bool, typer.Option("--json", help="print JSON on stdout instead of tables")]
+Seed = Annotated[int, typer.Option(min=0, help="repeats the experiment")]
+Quick = Annotated[bool, typer.Option("--quick", help="a small part of it")]
+MissionFile = Annotated[Path, typer.Option("--mission", help="mission file")]
+SAN_GABRIEL = Path("missions/san_gabriel.yaml")
+
+
+def run(
+    name: str, output: Path | None, as_json: bool, measure: Callable[[Path, Show], dict[str, Any]]
+) -> dict[str, Any]:
+    """Measure into the experiment's folder, with progress bars; print its figures, and return them."""
+    folder = output or Path("out") / f"experiment_{name}"
+    with progress_bars() as progress:
+        bars: dict[str, TaskID] = {}
+
+        def show(what: str, done: float) -> None:
+            if what not in bars:
+                bars[what] = progress.add_task(what, total=1.0)
+            progress.update(bars[what], completed=done)
+
+        figures = measure(folder, show)
+    if as_json:
+        print_json(figures)
+    else:
+        text = (folder / "results.md").read_text(encoding="utf-8")
+        stdout.print(text, markup=False, highlight=False, soft_wrap=True)
+    return figures
+
+
+@app.command()
+def proof(
+    output: Output = None,
+    seed: Seed = 1,
+    quick: Quick = False,
+    mission: MissionFile = SAN_GABRIEL,
+    samples: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="also check the .plan and .waypoints files there")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure soundness, tightness and speed of proofs."""
+    from missionplanner.experiments import proof as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(folder, mission=mission, seed=seed, quick=quick, samples=samples, progress=show)
+
+    run("proof", output, as_json, measure)
+
+
+@app.command()
+def fidelity(
+    flights: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="recorded flights (docs/FIDELITY.md); needed")
+    ] = None,
+    output: Output = None,
+    update: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Markdown file whose table is brought up to date")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Hold predicted against recorded flights."""
+    from missionplanner.experiments import fidelity as experiment
+
+    if flights is None:
+        raise MissionError("--flights: expected a folder of recorded flights (docs/FIDELITY.md)")
+    recorded = flights
+    figures = run(
+        "fidelity",
+        output,
+        as_json,
+        lambda folder, show: experiment.main(folder, flights=recorded, update=update, progress=show),
+    )
+    for flight in figures["unreadable"]:
+        typer.echo(f"missionplanner: {flight['error']}", err=True)
+    if figures["unreadable"]:
+        raise Told(MissionError.exit_code)
+
+
+@app.command()
+def arrival(
+    output: Output = None,
+    seed: Annotated[int, typer.Option(min=0, help="the first of them")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="plans, each with a seed of its own")] = 20,
+    quick: Quick = False,
+    mission: MissionFile = SAN_GABRIEL,
+    as_json: AsJson = False,
+) -> None:
+    """Fly for common arrival in simulation, disturbed in several ways."""
+    from missionplanner.experiments import arrival as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(folder, mission=mission, seed=seed, seeds=seeds, quick=quick, progress=show)
+
+    run("arrival", output, as_json, measure)
+
+
+@app.command()
+def scale(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json: AsJson = False) -> None:
+    """Measure what the number of vehicles costs."""
+    from missionplanner.experiments import scale as experiment
+
+    run("scale", output, as_json, lambda folder, show: experiment.main(folder, seed=seed, quick=quick, progress=show))
