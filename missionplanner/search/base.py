@@ -14,6 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.intp]
+BoolArray = npt.NDArray[np.bool_]
 Cost = Callable[[FloatArray], npt.ArrayLike]  # (P, D) -> (P,)
 Callback = Callable[[int, float], bool | None]  # (evaluations so far, best cost) -> true to stop
 
@@ -22,17 +24,20 @@ class Optimiser(Protocol):
     """One population moving through the unit box; every ``ask`` is answered by one ``tell``."""
 
     def ask(self) -> FloatArray:
-        """Return the points (P, D) to price next, each inside the unit box."""
+        """Return the points (P', D) to price next, each inside the unit box.
+
+        At least one; how many may differ from generation to generation. The caller does not keep them.
+        """
 
     def tell(self, cost: FloatArray) -> None:
-        """Take the costs (P,) of the points last asked for; ``inf`` marks a point without a price."""
+        """Take the costs (P',) of the points last asked for; ``inf`` marks a point without a price, NaN never comes."""
 
 
 class OptimiserClass(Protocol):
-    """How an optimiser is made: from its first population (P, D) and the number of generations it will live."""
+    """How an optimiser is made: from its first population (P, D) and all the evaluations it may spend."""
 
-    def __call__(self, initial: FloatArray, generations: int, rng: np.random.Generator) -> Optimiser:
-        """Return an optimiser whose first ``ask`` returns ``initial``."""
+    def __call__(self, initial: FloatArray, evaluations: int, rng: np.random.Generator) -> Optimiser:
+        """Return an optimiser that prices ``initial`` first; it may not change that array."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +49,7 @@ class SearchResult:
     best : (D,) the cheapest point priced, exactly as it was priced.
     cost : its cost.
     history : (G,) the best cost so far after every generation; never rises.
+    history_evaluations : (G,) rows priced by then: ``history`` over it is the curve of convergence.
     evaluations : rows priced in all.
     seed : repeats the search.
     """
@@ -51,5 +57,6 @@ class SearchResult:
     best: FloatArray
     cost: float
     history: FloatArray
+    history_evaluations: IntArray
     evaluations: int
     seed: int

@@ -25,9 +25,9 @@ class Pso:
     """Every particle is drawn to its own best point and to the swarm's."""
 
     def __init__(
-        self, initial: FloatArray, generations: int, rng: np.random.Generator, settings: PsoSettings | None = None
+        self, initial: FloatArray, evaluations: int, rng: np.random.Generator, settings: PsoSettings | None = None
     ) -> None:
-        del generations  # the schedule is per iteration, not per budget: as printed
+        del evaluations  # the schedule is per iteration, not per budget: as printed
         self._settings = settings or PsoSettings()
         self._rng = rng
         self._position = initial.copy()

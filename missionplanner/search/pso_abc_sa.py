@@ -24,13 +24,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from missionplanner.search.base import FloatArray
+from missionplanner.search.base import BoolArray, FloatArray, IntArray
 from missionplanner.search.pso import fly
-
-IntArray = npt.NDArray[np.intp]
-BoolArray = npt.NDArray[np.bool_]
 
 _ELITE_SHARE = 8  # bees are pulled towards the best eighth of the swarm
 
@@ -56,9 +52,9 @@ class PsoAbcSa:
     """Groups of leaders, scouts, employed bees and onlookers, annealed."""
 
     def __init__(
-        self, initial: FloatArray, generations: int, rng: np.random.Generator, settings: PsoAbcSaSettings | None = None
+        self, initial: FloatArray, evaluations: int, rng: np.random.Generator, settings: PsoAbcSaSettings | None = None
     ) -> None:
-        del generations  # the schedule is per iteration, as printed
+        del evaluations  # the schedule is per iteration, as printed
         self._settings = settings or PsoAbcSaSettings()
         self._rng = rng
         population = len(initial)

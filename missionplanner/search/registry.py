@@ -3,30 +3,42 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from missionplanner.errors import MissionError
 from missionplanner.search.base import OptimiserClass
 from missionplanner.search.pso import Pso
 from missionplanner.search.pso_abc_sa import PsoAbcSa
+from missionplanner.search.pso_abc_sa_paper import PsoAbcSaPaper
+
+_PAPER = "Zhu et al., Multi-UAV Cooperative Power Inspection Base on Improved PSO (PAPER.md eqs 25-33)"
+
+
+def fifty(dimensions: int, evaluations: int) -> int:
+    """Return the paper's population."""
+    del dimensions, evaluations
+    return 50
 
 
 @dataclass(frozen=True, slots=True)
 class Algorithm:
-    """One optimiser: the name users write, what it is, where it comes from."""
+    """One optimiser: the name users write, what it is, where it comes from.
+
+    ``population`` takes the dimensions and the evaluations of a search and returns the size of its first population.
+    """
 
     name: str
     title: str
     source: str
     make: OptimiserClass
+    population: Callable[[int, int], int] = fifty
 
 
 _ALGORITHMS = (
+    Algorithm("pso-abc-sa", "particle swarm in groups of bees with annealing", f"{_PAPER}, best form", PsoAbcSa),
     Algorithm(
-        "pso-abc-sa",
-        "particle swarm in groups of bees with annealing",
-        "Zhu et al., Multi-UAV Cooperative Power Inspection (PAPER.md eqs 25-33), sound reading",
-        PsoAbcSa,
+        "pso-abc-sa-paper", "the same with the paper's parameters", f"{_PAPER}, its sound reading", PsoAbcSaPaper
     ),
     Algorithm("pso", "particle swarm", "Kennedy & Eberhart 1995, doi:10.1109/ICNN.1995.488968", Pso),
 )

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import numbers
+import time
+from collections.abc import Callable
 
 import numpy as np
 import numpy.typing as npt
@@ -20,21 +23,27 @@ def minimise(
     algorithm: str = "pso-abc-sa",
     evaluations: int,
     seed: int,
-    population: int = 50,
+    population: int | None = None,
     initial: npt.ArrayLike | None = None,
+    iterations: int | None = None,
+    seconds: float | None = None,
     target: float | None = None,
     callback: Callback | None = None,
+    clock: Callable[[], float] = time.perf_counter,
 ) -> SearchResult:
-    """Minimise ``cost`` over the box; the same arguments give the same result, bit for bit.
+    """Minimise ``cost`` over the box; the same arguments give the same result, bit for bit, unless time ends it.
 
     Parameters
     ----------
     cost : takes points (P, D), returns their costs (P,). Called once per generation, never for more than
-        ``evaluations`` rows in all. A cost of NaN is never the best.
+        ``evaluations`` rows in all. A cost of NaN is never the best; infinity marks a point out of the question.
     lower, upper : (D,) the box.
     algorithm : a name of :func:`~missionplanner.search.registry.algorithms`.
+    population : size of the first population; None leaves it to the algorithm.
     initial : (P0, D) first guesses, clipped to the box; they replace random members of the first population, and at
         most ``population`` of them are used.
+    iterations : stop after so many generations.
+    seconds : stop at the end of the generation in which ``clock`` has advanced so far.
     target : stop when the best cost is at or below it.
     callback : called with (evaluations so far, best cost) after every generation; stops the search by returning true.
 
@@ -44,46 +53,62 @@ def minimise(
         An unknown algorithm, a box that is empty or not finite, a budget or population below one, first guesses or
         costs of the wrong shape, a cost that is NaN everywhere.
     """
-    make = find_algorithm(algorithm).make
+    began, least = clock(), -math.inf if target is None else target
+    chosen = find_algorithm(algorithm)
     low, high = _box(lower, upper)
-    _at_least_one("evaluations", evaluations)
-    _at_least_one("population", population)
+    _at_least("evaluations", evaluations, 1)
+    _at_least("seed", seed, 0)
+    if population is None:
+        population = chosen.population(len(low), evaluations)
+    _at_least("population", population, 1)
+    if iterations is not None:
+        _at_least("iterations", iterations, 1)
+    if seconds is not None and not seconds > 0.0:
+        raise MissionError(f"seconds: expected above 0, got {seconds:g}")
     rng = np.random.default_rng(seed)
     span = high - low
     first = rng.random((population, len(low)))
     if initial is not None:
         guesses = _guesses(initial, low, high)[:population]
         first[: len(guesses)] = (guesses - low) / np.where(span > 0.0, span, 1.0)
-    optimiser = make(first, math.ceil(evaluations / population), rng)
+    optimiser = chosen.make(first, evaluations, rng)
 
     history: list[float] = []
+    history_evaluations: list[int] = []
     best, best_cost, used, priced = low, math.inf, 0, False
     while used < evaluations:
-        points = np.clip(low + optimiser.ask() * span, low, high)[: evaluations - used]
+        with np.errstate(all="ignore"):  # costs near the largest float overflow to infinity, as they should
+            points = np.clip(low + optimiser.ask() * span, low, high)[: evaluations - used]
         value = _checked(cost, points)
         used += len(points)
-        priced = priced or not np.isnan(value).all()
-        value = np.where(np.isnan(value), np.inf, value)
+        number = ~np.isnan(value)
+        priced = priced or bool(number.any())
+        value = np.where(number, value, np.inf)
         leader = int(np.argmin(value))
         if value[leader] < best_cost or not history:
             best, best_cost = points[leader].copy(), float(value[leader])
         history.append(best_cost)
+        history_evaluations.append(used)
         if callback is not None and callback(used, best_cost):
             break
-        if target is not None and best_cost <= target:
+        if best_cost <= least or len(history) == iterations or (seconds is not None and clock() - began >= seconds):
             break
         if used < evaluations:
-            optimiser.tell(value)
+            with np.errstate(all="ignore"):
+                optimiser.tell(value)
     if not priced:
         raise MissionError(f"cost: expected numbers, got only NaN ({used} points)")
-    return SearchResult(best, best_cost, np.array(history), used, seed)
+    return SearchResult(
+        best, best_cost, np.array(history), np.array(history_evaluations, dtype=np.intp), used, int(seed)
+    )
 
 
 def _box(lower: npt.ArrayLike, upper: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    low, high = np.array(lower, dtype=float), np.array(upper, dtype=float)
+    low, high = _numbers("lower", lower), _numbers("upper", upper)
     if low.ndim != 1 or low.shape != high.shape or not low.size:
         raise MissionError(f"lower, upper: expected two arrays of one shape (D,), got {low.shape} and {high.shape}")
-    wrong = np.flatnonzero(~(np.isfinite(low) & np.isfinite(high) & (low <= high)))
+    with np.errstate(over="ignore", invalid="ignore"):
+        wrong = np.flatnonzero(~(np.isfinite(high - low) & (low <= high)))
     if wrong.size:
         d = int(wrong[0])
         raise MissionError(
@@ -92,13 +117,15 @@ def _box(lower: npt.ArrayLike, upper: npt.ArrayLike) -> tuple[FloatArray, FloatA
     return low, high
 
 
-def _at_least_one(name: str, value: int) -> None:
-    if value < 1:
-        raise MissionError(f"{name}: expected at least 1, got {value}")
+def _at_least(name: str, value: int, least: int) -> None:
+    if not isinstance(value, numbers.Integral) or isinstance(value, bool):
+        raise MissionError(f"{name}: expected a whole number of at least {least}, got {value!r}")
+    if value < least:
+        raise MissionError(f"{name}: expected at least {least}, got {value}")
 
 
 def _guesses(initial: npt.ArrayLike, low: FloatArray, high: FloatArray) -> FloatArray:
-    guesses = np.array(initial, dtype=float)
+    guesses = _numbers("initial", initial)
     if guesses.ndim != 2 or guesses.shape[1] != len(low):
         raise MissionError(f"initial: expected shape (P0, D) = (any, {len(low)}), got {guesses.shape}")
     if not np.isfinite(guesses).all():
@@ -107,8 +134,15 @@ def _guesses(initial: npt.ArrayLike, low: FloatArray, high: FloatArray) -> Float
     return clipped
 
 
+def _numbers(name: str, values: npt.ArrayLike) -> FloatArray:
+    try:
+        return np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MissionError(f"{name}: expected an array of numbers ({error})") from error
+
+
 def _checked(cost: Cost, points: FloatArray) -> FloatArray:
-    value: FloatArray = np.array(cost(points.copy()), dtype=np.float64)
+    value = _numbers("cost", cost(points.copy()))
     if value.shape != (len(points),):
         raise MissionError(f"cost: expected shape (P,) = ({len(points)},), got {value.shape}")
     return value
