@@ -109,7 +109,8 @@ def hartmann_6(x: FloatArray) -> FloatArray:
 def eggholder(x: FloatArray) -> FloatArray:
     """f6: least on the box's wall."""
     u, v = x[:, 0], x[:, 1] + 47.0
-    return -v * np.sin(np.sqrt(np.abs(0.5 * u + v))) - u * np.sin(np.sqrt(np.abs(u - v)))
+    found: FloatArray = -v * np.sin(np.sqrt(np.abs(0.5 * u + v))) - u * np.sin(np.sqrt(np.abs(u - v)))
+    return found
 
 
 def griewank(x: FloatArray) -> FloatArray:
