@@ -131,7 +131,8 @@ def colville(x: FloatArray) -> FloatArray:
     """f9: two coupled curved valleys."""
     a, b, c, d = x.T
     valleys = 100.0 * (a**2 - b) ** 2 + (a - 1.0) ** 2 + (c - 1.0) ** 2 + 90.0 * (c**2 - d) ** 2
-    return valleys + 10.1 * ((b - 1.0) ** 2 + (d - 1.0) ** 2) + 19.8 * (b - 1.0) * (d - 1.0)
+    found: FloatArray = valleys + 10.1 * ((b - 1.0) ** 2 + (d - 1.0) ** 2) + 19.8 * (b - 1.0) * (d - 1.0)
+    return found
 
 
 def shift(half_width: float, dimensions: int) -> FloatArray:
