@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from missionplanner.clearance import STEP_M, Margins, legs_clear, legs_within_an
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
+from missionplanner.taut import INNER, OUTER, Rules, leg_length, leg_ok, pull
 from missionplanner.vehicle import VehicleLimits
 
 _TIGHT_END_M = 1e-3  # a start or goal that lacks this little (rounding) is taken as it is
@@ -31,29 +32,10 @@ _BOUND_SLACK_M = 2e-4  # distances along legs are lower bounds within 1e-4 m: an
 _NODES_MAX = 1_500_000
 _STEEPEST_RAD = math.radians(89.0)
 _PROBE_M = 0.01
-_ROUNDS = 30
 _SPARES_M = (0.05, 1.0)  # kept above ground beyond the margin, for what lies between samples
-_HALVINGS = 9
-_LEAST = 0.5**8
-_OVER_PULL = 1.5  # beyond the chord: over-relaxed, many points find their line in few rounds
-_SLIDE_ON, _SLIDE_BACK, _PULL_UPRIGHT, _PULL_LEVEL, _CUT = range(5)
-_CUT_ROUNDS = 3
 _GREED = 1.2  # A* weighs what is to go this much: what it loses, drawing taut makes good
 _CUTS_MAX = 40
 _TAUT_TOLERANCE = 2e-5  # of the section's length: a corner is cut, a round repeated, while that saves more
-
-
-class _Rules(NamedTuple):
-    """What a leg must keep, for the kernels."""
-
-    height_min_m: float
-    height_max_m: float
-    alt_max_m: float
-    obstacle_m: float
-    fence_m: float
-    slope_up: float
-    slope_down: float
-    ground_slope: float  # no ground near is steeper
 
 
 class _Grid(NamedTuple):
@@ -83,74 +65,8 @@ class _Nodes(NamedTuple):
     queue_node: npt.NDArray[np.int64]
 
 
-# Wrappers that nobody calls cost a quarter of the compile time.
-_OUTER: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True}
-_INNER: dict[str, Any] = {**_OUTER, "no_cpython_wrapper": True}
-
-# --- kernels -------------------------------------------------------------------------------------------------------
-
-
-@njit(**_INNER)
-def _over_ground(space: SpaceArrays, rules: _Rules, leg: FloatArray) -> bool:
-    """Return whether a leg keeps its height above ground; strides as far as the ground's slope allows."""
-    ex, ey, ez = leg[1, 0] - leg[0, 0], leg[1, 1] - leg[0, 1], leg[1, 2] - leg[0, 2]
-    length = math.sqrt(ex * ex + ey * ey)
-    closing = rules.ground_slope + (abs(ez) / length if length > 0.0 else 0.0)
-    s = 0.0
-    while True:
-        f = s / length if length > 0.0 else 1.0
-        height = leg[0, 2] + f * ez - kernels.terrain_height(space.terrain, leg[0, 0] + f * ex, leg[0, 1] + f * ey)
-        if not rules.height_min_m <= height <= rules.height_max_m:
-            return False
-        if s >= length:
-            return True
-        slack = min(height - rules.height_min_m, rules.height_max_m - height)
-        stride = STEP_M if slack <= STEP_M * closing else slack / closing if closing > 0.0 else length
-        s = min(length, s + stride)
-
-
-@njit(**_INNER)
-def _crosses_wall(walls: FloatArray, leg: FloatArray) -> bool:
-    """Return whether a leg passes through a wall: rows of centre, normal, open direction (3 each), depth, reach."""
-    for n in range(walls.shape[0]):
-        w = walls[n]
-        before = after = 0.0
-        for k in range(3):
-            before += (leg[0, k] - w[k]) * w[3 + k]
-            after += (leg[1, k] - w[k]) * w[3 + k]
-        if (before < 0.0) == (after < 0.0):
-            continue
-        f = before / (before - after)
-        away = square = 0.0
-        for k in range(3):
-            v = leg[0, k] + f * (leg[1, k] - leg[0, k]) - w[k]
-            away += v * w[6 + k]
-            square += v * v
-        if away > -w[9] and square < w[10] * w[10]:
-            return True
-    return False
-
-
-@njit(**_OUTER)
-def _leg_ok(space: SpaceArrays, rules: _Rules, walls: FloatArray, leg: FloatArray, open_air: bool) -> bool:
-    """Return whether a leg keeps all rules and no wall; ``open_air`` says that obstacles and fence are known far."""
-    ex, ey, ez = leg[1, 0] - leg[0, 0], leg[1, 1] - leg[0, 1], leg[1, 2] - leg[0, 2]
-    across = math.sqrt(ex * ex + ey * ey)
-    if ez > rules.slope_up * across or -ez > rules.slope_down * across:
-        return False
-    if _crosses_wall(walls, leg) or not _over_ground(space, rules, leg):
-        return False
-    if open_air:
-        below: bool = leg[0, 2] <= rules.alt_max_m and leg[1, 2] <= rules.alt_max_m
-        return below
-    clear: bool = kernels.leg_is_clear(
-        space, leg, np.inf, -np.inf, np.inf, rules.alt_max_m, rules.obstacle_m, rules.fence_m
-    )
-    return clear
-
-
-@njit(**_INNER)
-def _free_radius(space: SpaceArrays, rules: _Rules, x: float, y: float, z: float, enough: float) -> float:
+@njit(**INNER)
+def _free_radius(space: SpaceArrays, rules: Rules, x: float, y: float, z: float, enough: float) -> float:
     """Return how far one may fly in any direction and keep obstacles and fence; at most ``enough``, negative: not."""
     o = space.obstacles
     free = min(enough, kernels.inside_distance(space, x, y, z) - rules.fence_m, rules.alt_max_m - z)
@@ -166,7 +82,7 @@ def _free_radius(space: SpaceArrays, rules: _Rules, x: float, y: float, z: float
     return free
 
 
-@njit(**_INNER)
+@njit(**INNER)
 def _sift_up(q: _Nodes, n: int, key: float, node: int) -> None:
     """Add an entry to the heap of the first ``n``. Ours, because numba takes seconds over heapq."""
     while n > 0:
@@ -180,7 +96,7 @@ def _sift_up(q: _Nodes, n: int, key: float, node: int) -> None:
     q.queue_node[n] = node
 
 
-@njit(**_INNER)
+@njit(**INNER)
 def _sift_down(q: _Nodes, n: int) -> None:
     """Drop the least entry of the heap of the first ``n + 1``."""
     key = q.queue_cost[n]
@@ -201,7 +117,7 @@ def _sift_down(q: _Nodes, n: int) -> None:
     q.queue_node[at] = node
 
 
-@njit(**_INNER)
+@njit(**INNER)
 def _place(grid: _Grid, ends: FloatArray, u: int, v: int, w: int, out: FloatArray, row: int) -> None:
     """Write the position of a node into a row."""
     a = (u + grid.u_low) * grid.cell_m
@@ -211,9 +127,9 @@ def _place(grid: _Grid, ends: FloatArray, u: int, v: int, w: int, out: FloatArra
     out[row, 2] = ends[0, 2] + (w + grid.w_low) * grid.layer_m
 
 
-@njit(**_INNER)
+@njit(**INNER)
 def _node_radius(
-    space: SpaceArrays, rules: _Rules, floor: FloatArray, column: int, at: FloatArray, enough: float
+    space: SpaceArrays, rules: Rules, floor: FloatArray, column: int, at: FloatArray, enough: float
 ) -> float:
     """Return the free radius of a node at ``at[1]``, negative where one may not be; ``floor`` remembers the ground."""
     below = floor[column]
@@ -229,8 +145,8 @@ def _node_radius(
     return radius
 
 
-@njit(**_INNER)
-def _to_go(rules: _Rules, goal: FloatArray, leg: FloatArray) -> float:
+@njit(**INNER)
+def _to_go(rules: Rules, goal: FloatArray, leg: FloatArray) -> float:
     """Return a lower bound of the length from the leg's second point to the goal: straight, or as steep as allowed."""
     rise = goal[2] - leg[1, 2]
     across2 = (goal[0] - leg[1, 0]) ** 2 + (goal[1] - leg[1, 1]) ** 2
@@ -238,10 +154,10 @@ def _to_go(rules: _Rules, goal: FloatArray, leg: FloatArray) -> float:
     return math.sqrt(rise * rise + max(across2, (rise / slope) ** 2))
 
 
-@njit(**_OUTER)
+@njit(**OUTER)
 def _expand(
     space: SpaceArrays,
-    rules: _Rules,
+    rules: Rules,
     walls: FloatArray,
     ends: FloatArray,
     grid: _Grid,
@@ -271,13 +187,13 @@ def _expand(
         for k in range(3):
             leg[1, k] = ends[1, k]
         across = abs(leg[1, 0] - leg[0, 0]) + abs(leg[1, 1] - leg[0, 1])
-        near = across < 4.0 * grid.cell_m and nodes.cost[node] + _length(leg) < best_cost
+        near = across < 4.0 * grid.cell_m and nodes.cost[node] + leg_length(leg) < best_cost
         for m in range(-1 if near else 0, moves.shape[0]):  # -1: straight to the goal
             total = nodes.cost[node]
             ahead = -1
             open_air = False
             if m < 0:
-                total += _length(leg)
+                total += leg_length(leg)
             else:
                 u1 = u + moves[m, 0]
                 v1 = v + moves[m, 1]
@@ -295,7 +211,7 @@ def _expand(
                 if radius < 0.0 or queued == nodes.queue_cost.shape[0]:
                     continue
                 open_air = max(radius, nodes.radius[node]) >= lengths[m]
-            if not _leg_ok(space, rules, walls, leg, open_air):
+            if not leg_ok(space, rules, walls, leg, open_air):
                 continue
             if ahead < 0:
                 best_cost = total
@@ -308,121 +224,7 @@ def _expand(
     return last
 
 
-@njit(**_INNER)
-def _length(leg: FloatArray) -> float:
-    return math.sqrt((leg[0, 0] - leg[1, 0]) ** 2 + (leg[0, 1] - leg[1, 1]) ** 2 + (leg[0, 2] - leg[1, 2]) ** 2)
-
-
-@njit(**_INNER)
-def _distance(p: FloatArray, i: int, j: int) -> float:
-    return math.sqrt((p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2)
-
-
-@njit(**_INNER)
-def _corner(p: FloatArray, b: int, step: int, f: float, out: FloatArray) -> None:
-    """Write where a step of :func:`_taut`, done to the share ``f``, puts the corner ``p[b]``: two rows after a cut."""
-    ab, bc = max(_distance(p, b - 1, b), 1e-9), max(_distance(p, b, b + 1), 1e-9)
-    cut_m = f * min(ab, bc)
-    for k in range(3):
-        to_a, to_c = p[b - 1, k] - p[b, k], p[b + 1, k] - p[b, k]
-        out[0, k] = p[b, k]
-        if step == _SLIDE_ON:
-            out[0, k] += f * to_c
-        elif step == _SLIDE_BACK:
-            out[0, k] += f * to_a
-        elif step == _CUT:
-            out[0, k] += to_a * cut_m / ab
-            out[1, k] = p[b, k] + to_c * cut_m / bc
-        elif (step == _PULL_LEVEL) == (k < 2):
-            out[0, k] += f * _OVER_PULL * (to_a * bc + to_c * ab) / (ab + bc)
-
-
-@njit(**_INNER)
-def _corner_ok(
-    space: SpaceArrays, rules: _Rules, walls: FloatArray, p: FloatArray, b: int, step: int, spot: FloatArray
-) -> bool:
-    """Return whether the legs at a corner moved to ``spot`` are clear, and no longer than before."""
-    leg = np.empty((2, 3))
-    before = _distance(p, b - 1, b) + _distance(p, b, b + 1)
-    length = 0.0
-    for n in range(1 if step == _CUT else 2):
-        for k in range(3):
-            leg[0, k] = spot[0, k] if n == 1 or step == _CUT else p[b - 1, k]
-            leg[1, k] = spot[1, k] if step == _CUT else spot[0, k] if n == 0 else p[b + 1, k]
-        length += _length(leg)
-        if length > before or not _leg_ok(space, rules, walls, leg, False):
-            return False
-    return True
-
-
-@njit(**_OUTER)
-def _taut(space: SpaceArrays, rules: _Rules, walls: FloatArray, p: FloatArray, size: int, tolerance_m: float) -> int:
-    """Draw the path ``p[:size]`` taut in place, while a round saves the tolerance; return its new size.
-
-    Each point slides along its two legs as far as the leg to its other neighbour stays clear (all the way: it is
-    dropped), then is pulled towards its neighbours' chord, level and upright, because a point held by a mast or a
-    cable moves along it only by that. When this saves no more, corners are cut too. No step lengthens the path. Rows
-    beyond ``size`` are room for points that cuts add.
-    """
-    spot = np.empty((2, 3))
-    cuts = 0
-    for _ in range(_ROUNDS):
-        gained = 0.0
-        b = 1
-        while b < size - 1:
-            before = _distance(p, b - 1, b) + _distance(p, b, b + 1)
-            bends = before - _distance(p, b - 1, b + 1) > 0.1 * tolerance_m
-            after = before
-            for step in range(_CUT + 1 if cuts > 0 and size < p.shape[0] else _CUT):
-                good, bad = 0.0, 1.0
-                for n in range(_HALVINGS if bends else 1):
-                    # All the way, else the least, else halving: most points are stuck or free, few in between.
-                    f = 1.0 if n == 0 else _LEAST if n == 1 else 0.5 * (good + bad)
-                    _corner(p, b, step, f, spot)
-                    if _corner_ok(space, rules, walls, p, b, step, spot):
-                        good = f
-                    else:
-                        bad = f
-                    if good == 1.0 or (n == 1 and good == 0.0):
-                        break
-                if good == 0.0:
-                    continue
-                _corner(p, b, step, good, spot)
-                if step == _CUT:
-                    cut_m = good * min(_distance(p, b - 1, b), _distance(p, b, b + 1))
-                    saved = 2.0 * cut_m - _length(spot)
-                    if saved < tolerance_m:
-                        continue
-                    for n in range(size, b, -1):
-                        for k in range(3):
-                            p[n, k] = p[n - 1, k]
-                    size += 1
-                    gained += saved
-                    b += 1
-                    for k in range(3):
-                        p[b - 1, k] = spot[0, k]
-                        p[b, k] = spot[1, k]
-                    break
-                for k in range(3):
-                    p[b, k] = spot[0, k]
-                after = _distance(p, b - 1, b) + _distance(p, b, b + 1)
-                if min(_distance(p, b - 1, b), _distance(p, b, b + 1)) < 1e-6:
-                    size -= 1
-                    for n in range(b, size):
-                        for k in range(3):
-                            p[n, k] = p[n + 1, k]
-                    b -= 1
-                    break
-            gained += before - after
-            b += 1
-        if cuts > 0 or gained < tolerance_m:
-            cuts += 1
-        if cuts > _CUT_ROUNDS:
-            break
-    return size
-
-
-@njit(**_OUTER)
+@njit(**OUTER)
 def _away(o: kernels.ObstacleArrays, index: npt.NDArray[np.intp], at: FloatArray, out: FloatArray) -> None:
     """Write the directions (N, 3) in which the distances from places (N, 3) to solids ``index`` (N,) grow."""
     near = np.empty(3)
@@ -484,10 +286,10 @@ class _Problem:
         low, high = self.margins.height_agl_min_m, self.margins.height_agl_max_m
         return max(0.0, float(min(heights.min() - low, high - heights.max())))
 
-    def rules(self, ground_slope: float, spare_m: float) -> _Rules:
+    def rules(self, ground_slope: float, spare_m: float) -> Rules:
         """Return the margins for the kernels; ``spare_m`` covers what the terrain does between samples."""
         m = self.margins
-        return _Rules(
+        return Rules(
             height_min_m=m.height_agl_min_m + spare_m,
             height_max_m=m.height_agl_max_m - spare_m,
             alt_max_m=m.alt_amsl_max_m,
@@ -629,7 +431,7 @@ def _find(
     return None
 
 
-def _let_go(problem: _Problem, rules: _Rules, path: FloatArray) -> FloatArray:
+def _let_go(problem: _Problem, rules: Rules, path: FloatArray) -> FloatArray:
     """Return a path that may lean on a wall's edge drawn taut without walls, if it stays on its sides of everything."""
     freed = _draw_taut(problem, rules, _NO_WALLS, path)
     return path if freed is None or (_sides(problem, path) != _sides(problem, freed)).any() else freed
@@ -637,7 +439,7 @@ def _let_go(problem: _Problem, rules: _Rules, path: FloatArray) -> FloatArray:
 
 def _graph_path(
     problem: _Problem,
-    rules: _Rules,
+    rules: Rules,
     walls: FloatArray,
     grid: _Grid,
     moves: npt.NDArray[np.int64],
@@ -672,7 +474,7 @@ def _graph_path(
     return np.array([problem.start_m, *path[::-1]])
 
 
-def _shortcut(problem: _Problem, rules: _Rules, walls: FloatArray, path: FloatArray) -> FloatArray:
+def _shortcut(problem: _Problem, rules: Rules, walls: FloatArray, path: FloatArray) -> FloatArray:
     """Return the path without the points that a clear leg can skip: from each the farthest, found by galloping."""
     kept, last = [0], len(path) - 1
     while kept[-1] < last:
@@ -680,7 +482,7 @@ def _shortcut(problem: _Problem, rules: _Rules, walls: FloatArray, path: FloatAr
         good, bad, stride = here + 1, last + 1, 2
         while bad - good > 1:
             trial = min(here + stride, last) if bad > last else (good + bad) // 2
-            if _leg_ok(problem.space, rules, walls, path[[here, trial]], False):
+            if leg_ok(problem.space, rules, walls, path[[here, trial]], False):
                 good, stride = trial, 2 * stride
             else:
                 bad = trial
@@ -688,11 +490,11 @@ def _shortcut(problem: _Problem, rules: _Rules, walls: FloatArray, path: FloatAr
     return path[kept]
 
 
-def _draw_taut(problem: _Problem, rules: _Rules, walls: FloatArray, raw: FloatArray) -> FloatArray | None:
+def _draw_taut(problem: _Problem, rules: Rules, walls: FloatArray, raw: FloatArray) -> FloatArray | None:
     """Return the path drawn taut, or as it was where that does not pass the judge; None if neither does."""
     short = _shortcut(problem, rules, walls, raw)
     path = np.concatenate([short, np.zeros((_CUTS_MAX, 3))])
-    size = _taut(problem.space, rules, walls, path, len(short), _TAUT_TOLERANCE * problem.length_m)
+    size = pull(problem.space, rules, walls, path, len(short), _TAUT_TOLERANCE * problem.length_m)
     return next((path for path in (path[:size].copy(), short, raw) if problem.accepts(path)), None)
 
 
