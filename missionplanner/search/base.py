@@ -6,9 +6,9 @@ evaluations and remembers the best, so an optimiser holds its idea and nothing e
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import NoReturn, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,34 @@ class OptimiserClass(Protocol):
 
     def __call__(self, initial: FloatArray, evaluations: int, rng: np.random.Generator) -> Optimiser:
         """Return an optimiser that prices ``initial`` first; it may not change that array."""
+
+
+Steps = Generator[FloatArray, FloatArray, NoReturn]
+
+
+class Stepwise:
+    """An optimiser written as a generator: it yields points and is sent their costs.
+
+    Algorithms of several phases then read like their papers. ``steps`` has the parameters of :class:`OptimiserClass`.
+    """
+
+    def __init__(
+        self,
+        steps: Callable[[FloatArray, int, np.random.Generator], Steps],
+        initial: FloatArray,
+        evaluations: int,
+        rng: np.random.Generator,
+    ) -> None:
+        self._steps = steps(initial, evaluations, rng)
+        self._points = next(self._steps)
+
+    def ask(self) -> FloatArray:
+        """Return the points that wait for their costs."""
+        return self._points
+
+    def tell(self, cost: FloatArray) -> None:
+        """Send the costs, and move on to the next points."""
+        self._points = self._steps.send(cost)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

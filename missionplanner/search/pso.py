@@ -1,4 +1,4 @@
-"""Particle swarm optimisation (PAPER.md eqs 21, 22; Kennedy & Eberhart 1995, doi:10.1109/ICNN.1995.488968)."""
+"""Particle swarms: the classic one (PAPER.md eqs 21, 22) and the quantum-behaved one."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from missionplanner.search.base import FloatArray
+from missionplanner.search.base import FloatArray, Steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,44 +21,40 @@ class PsoSettings:
     velocity_max: float = 0.2  # of the box, per iteration: without it inertia 0.9 flings half the swarm to the walls
 
 
-class Pso:
-    """Every particle is drawn to its own best point and to the swarm's."""
+class Swarm:
+    """Particles with velocities and memories, for the algorithms that build on PSO."""
 
-    def __init__(
-        self, initial: FloatArray, evaluations: int, rng: np.random.Generator, settings: PsoSettings | None = None
-    ) -> None:
-        del evaluations  # the schedule is per iteration, not per budget: as printed
+    def __init__(self, initial: FloatArray, settings: PsoSettings | None = None) -> None:
+        self.position = initial.copy()
+        self.velocity = np.zeros_like(initial)
+        self.best_position = initial.copy()
+        self.best_cost = np.full(len(initial), np.inf)
         self._settings = settings or PsoSettings()
-        self._rng = rng
-        self._position = initial.copy()
-        self._velocity = np.zeros_like(initial)
-        self._best_position = initial.copy()
-        self._best_cost = np.full(len(initial), np.inf)
         self._inertia = self._settings.inertia
-        self._first = True
 
-    def ask(self) -> FloatArray:
-        """Return the swarm's next positions (P, D)."""
-        if self._first:
-            self._first = False
-            return self._position
-        s, x = self._settings, self._position
-        own, everyone = self._rng.random((2, *x.shape))
-        leader = self._best_position[np.argmin(self._best_cost)]
+    @property
+    def leader(self) -> FloatArray:
+        """The best point (D,) any particle has seen."""
+        best: FloatArray = self.best_position[np.argmin(self.best_cost)]
+        return best
+
+    def flown(self, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """Return positions and velocities (P, D) one step later: drawn to one's own best point and to the leader."""
+        s, x = self._settings, self.position
+        own, everyone = rng.random((2, *x.shape))
         velocity = (
-            self._inertia * self._velocity
-            + s.cognitive * own * (self._best_position - x)
-            + s.social * everyone * (leader - x)
+            self._inertia * self.velocity
+            + s.cognitive * own * (self.best_position - x)
+            + s.social * everyone * (self.leader - x)
         )
-        self._position, self._velocity = fly(x, velocity, s.velocity_max)
         self._inertia = max(self._inertia * s.inertia_decay, s.inertia_min)
-        return self._position
+        return fly(x, velocity, s.velocity_max)
 
-    def tell(self, cost: FloatArray) -> None:
+    def remember(self, position: FloatArray, cost: FloatArray) -> None:
         """Remember every particle's best point."""
-        better = cost < self._best_cost
-        self._best_cost[better] = cost[better]
-        self._best_position[better] = self._position[better]
+        better = cost < self.best_cost
+        self.best_cost[better] = cost[better]
+        self.best_position[better] = position[better]
 
 
 def fly(position: FloatArray, velocity: FloatArray, velocity_max: float) -> tuple[FloatArray, FloatArray]:
@@ -67,3 +63,29 @@ def fly(position: FloatArray, velocity: FloatArray, velocity_max: float) -> tupl
     free = position + velocity
     inside = np.clip(free, 0.0, 1.0)
     return inside, np.where(free == inside, velocity, 0.0)
+
+
+def particle_swarm(initial: FloatArray, evaluations: int, rng: np.random.Generator) -> Steps:
+    """PSO with the paper's parameters: its inertia decays per iteration, not over the budget."""
+    del evaluations
+    swarm = Swarm(initial)
+    while True:
+        swarm.remember(swarm.position, (yield swarm.position))
+        swarm.position, swarm.velocity = swarm.flown(rng)
+
+
+def quantum_swarm(initial: FloatArray, evaluations: int, rng: np.random.Generator) -> Steps:
+    """QPSO: positions are drawn around a point between one's own best and the leader, as far as the mean best is.
+
+    Sun, Feng & Xu 2004, doi:10.1109/CEC.2004.1330875; the mean best: Sun, Xu & Feng 2004,
+    doi:10.1109/ICCIS.2004.1460396. The contraction falls from 1.0 to 0.5 over the budget, as they advise.
+    """
+    swarm, spent = Swarm(initial), 0
+    while True:
+        swarm.remember(swarm.position, (yield swarm.position))
+        spent += len(initial)
+        contraction = 1.0 - 0.5 * min(spent / evaluations, 1.0)
+        between, far, side = rng.random((3, *initial.shape))
+        attractor = between * swarm.best_position + (1.0 - between) * swarm.leader
+        reach = contraction * np.abs(swarm.best_position.mean(axis=0) - swarm.position) * -np.log1p(-far)
+        swarm.position = np.clip(attractor + np.where(side < 0.5, reach, -reach), 0.0, 1.0)

@@ -71,7 +71,8 @@ def minimise(
     if initial is not None:
         guesses = _guesses(initial, low, high)[:population]
         first[: len(guesses)] = (guesses - low) / np.where(span > 0.0, span, 1.0)
-    optimiser = chosen.make(first, evaluations, rng)
+    planned = evaluations if iterations is None else min(evaluations, iterations * population)
+    optimiser = chosen.make(first, planned, rng)
 
     history: list[float] = []
     history_evaluations: list[int] = []

@@ -36,7 +36,8 @@ def test_finds_the_bottom_of_a_bowl(name: str) -> None:
     assert result.cost < 1e-3
     np.testing.assert_allclose(result.best, 0.3, atol=0.05)
     assert result.evaluations == 5000
-    assert len(result.history) == 100
+    assert len(result.history) == len(result.history_evaluations)
+    assert result.history_evaluations[-1] == 5000
 
 
 def test_bees_escape_where_a_swarm_is_trapped() -> None:
