@@ -62,6 +62,11 @@ class BenchmarkFunction:
         """The number of coordinates."""
         return len(self.lower)
 
+    @property
+    def label(self) -> str:
+        """The paper's name and the usual one."""
+        return f"{self.name.partition('-')[0]} {self.title}"
+
 
 def schwefel_2_21(x: FloatArray) -> FloatArray:
     """f1: the largest coordinate by magnitude."""

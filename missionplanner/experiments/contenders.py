@@ -1,0 +1,403 @@
+"""Who searches: our optimisers and those of other libraries behind one function, each used as its documents say.
+
+A :class:`Tally` stands between a search and the function: it prices points, counts them, keeps the best, and ends the
+search at its budget exactly, whatever the library does with budgets. Libraries are optional (``pip install
+'missionplanner[peers]'``); who is not installed is told to be absent.
+
+How each is used: in the box or, where steps have a size of their own (cma, mealpy's SA), in the unit box; whole
+populations at once where the library can; populations as in its documents or, where these leave the choice, the better
+one of a few tried on the UAV objective at 10,000 evaluations; schedules (generations, evaluations) end where the budget
+ends; one thread.
+"""
+
+from __future__ import annotations
+
+import ast
+import atexit
+import hashlib
+import importlib
+import inspect
+import math
+import os
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cache, partial
+from importlib.metadata import PackageNotFoundError
+from importlib.metadata import version as version_of_package
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from missionplanner.errors import MissionError
+from missionplanner.experiments import campaign
+from missionplanner.search.registry import algorithms, find_algorithm
+from missionplanner.search.run import minimise
+
+FloatArray = npt.NDArray[np.float64]
+Price = Callable[[FloatArray], npt.ArrayLike]  # (P, D) -> (P,)
+
+_STEP = 1.1  # a curve keeps one point per this factor of evaluations
+
+
+class BudgetSpent(Exception):  # noqa: N818 - a signal, not a failure
+    """Raised into a search that asks for more than its budget."""
+
+
+class Tally:
+    """Prices points of a box for one search: counts them, keeps the best, ends at the budget.
+
+    Attributes
+    ----------
+    used : points priced; never above ``evaluations``.
+    best, cost : the cheapest of them (D,), as it was priced, and its cost.
+    spent : whether more was asked for than evaluations or seconds allow.
+    """
+
+    def __init__(
+        self,
+        price: Price,
+        lower: FloatArray,
+        upper: FloatArray,
+        evaluations: int,
+        seconds: float | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self.lower, self.upper, self.evaluations = lower, upper, evaluations
+        self.used, self.spent = 0, False
+        self.best, self.cost = lower, math.inf
+        self._price, self._clock = price, clock
+        self._began, self._until = clock(), math.inf if seconds is None else clock() + seconds
+        self._curve: dict[int, tuple[int, float, float]] = {}
+
+    @property
+    def dimensions(self) -> int:
+        """The number of coordinates."""
+        return len(self.lower)
+
+    def batch(self, points: npt.ArrayLike) -> FloatArray:
+        """Return the prices (P,) of points (P, D), those outside the box as where they leave it.
+
+        Raises
+        ------
+        BudgetSpent
+            More points than the budget allows; those it allows have been priced.
+        """
+        asked = np.clip(np.asarray(points, dtype=float), self.lower, self.upper)
+        left = self.evaluations - self.used
+        if left > 0 and self._clock() < self._until:
+            rows = asked[:left]
+            cost = np.asarray(self._price(rows), dtype=float)
+            self._count(rows, cost)
+            if len(rows) == len(asked):
+                return cost
+        self.spent = True
+        raise BudgetSpent
+
+    def single(self, point: npt.ArrayLike) -> float:
+        """Return the price of one point (D,)."""
+        return float(self.batch(np.asarray(point, dtype=float)[None])[0])
+
+    def unit(self, points: npt.ArrayLike) -> FloatArray:
+        """Return the prices (P,) of points (P, D) of the unit box."""
+        return self.batch(self.lower + np.asarray(points, dtype=float) * (self.upper - self.lower))
+
+    @property
+    def curve(self) -> list[tuple[int, float, float]]:
+        """The best cost over the search: (evaluations, seconds, cost), falling costs, the last one as it ended."""
+        return [*self._curve.values()]
+
+    def _count(self, rows: FloatArray, cost: FloatArray) -> None:
+        number = np.where(np.isnan(cost), np.inf, cost)
+        first = int(np.argmin(number))
+        at = self.used + first + 1
+        self.used += len(rows)
+        if number[first] < self.cost:
+            self.best, self.cost = rows[first].copy(), float(number[first])
+            self._curve[int(math.log(at) / math.log(_STEP))] = (at, self._clock() - self._began, self.cost)
+
+
+Run = Callable[..., None]  # (library, tally, seed): searches until it ends or the tally ends it
+
+
+@dataclass(frozen=True, slots=True)
+class Contender:
+    """One optimiser of a library, or one of ours (no library).
+
+    Attributes
+    ----------
+    library : what is imported, and installed by the same name.
+    how : settings worth knowing, in words.
+    slow : takes so long that a long budget is only for those who ask for it.
+    """
+
+    name: str
+    library: str
+    search: Run = field(repr=False)
+    how: str = ""
+    slow: bool = False
+
+    @property
+    def ours(self) -> bool:
+        """Whether it is of this software."""
+        return not self.library
+
+    @property
+    def installed(self) -> bool:
+        """Whether its library is there."""
+        return self.ours or bool(_version(self.library))
+
+    def digest(self) -> str:
+        """Return what its results depend on, besides problem, budget and seed, as a short digest."""
+        call = self.search
+        assert isinstance(call, partial)
+        depends: dict[str, Any] = {
+            "library": _version(self.library) if self.library else "",
+            "with": repr(sorted(call.keywords.items())),
+            "source": hashlib.sha256(inspect.getsource(call.func).encode()).hexdigest(),
+        }
+        modules: list[str] = []
+        if self.ours:
+            algorithm = find_algorithm(self.name)
+            make = algorithm.make
+            parts = [make.func, *make.args] if isinstance(make, partial) else [make]
+            imported = (name for part in parts for name in _imported(inspect.getmodule(part)))
+            modules = sorted({"missionplanner.search.run", *imported})
+            depends["population"] = [algorithm.population(d, e) for d in (2, 4, 6, 30) for e in (2500, 10_000, 100_000)]
+        return campaign.version_of(depends, modules)[:10]
+
+    def run(
+        self,
+        price: Price,
+        lower: FloatArray,
+        upper: FloatArray,
+        *,
+        evaluations: int,
+        seed: int,
+        seconds: float | None = None,
+    ) -> Tally:
+        """Search once; return what was counted and found.
+
+        Raises
+        ------
+        MissionError
+            Its library is not installed.
+        """
+        if not self.installed:
+            raise MissionError(f"{self.name}: expected {self.library}, which is not installed: {INSTALL}")
+        library = _loaded(self.library) if self.library else None
+        tally = Tally(price, lower, upper, evaluations, seconds)
+        try:
+            self.search(library, tally, seed)
+        except Exception:  # C++ libraries turn the tally's signal into errors of their own
+            if not tally.spent:
+                raise
+        return tally
+
+
+INSTALL = "pip install 'missionplanner[peers]'"
+
+
+@cache
+def _version(library: str) -> str:
+    try:
+        return version_of_package(library)
+    except PackageNotFoundError:
+        return ""
+
+
+@cache
+def _loaded(library: str) -> Any:
+    """Import a library; pyswarms would open report.log wherever it is, and log to the terminal."""
+    if library == "pyswarms":
+        handle, path = tempfile.mkstemp(suffix=".yml")
+        os.write(handle, b"{version: 1, incremental: true}")
+        os.close(handle)
+        atexit.register(os.unlink, path)
+        os.environ["LOG_CFG"] = path
+    return importlib.import_module(library)
+
+
+def _imported(module: Any) -> Iterator[str]:
+    """Yield the names of a module of ours and of all those of ours that it imports, directly or not."""
+    seen, todo = set(), [module.__name__]
+    while todo:
+        name = todo.pop()
+        path = Path(__file__).parents[2].joinpath(*name.split(".")).with_suffix(".py")
+        if name in seen or not path.exists():
+            continue
+        seen.add(name)
+        yield name
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("missionplanner."):
+                todo += [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+
+
+# --- ours ------------------------------------------------------------------------------------------------------------
+
+
+def _our(_library: None, tally: Tally, seed: int, algorithm: str) -> None:
+    minimise(tally.batch, tally.lower, tally.upper, algorithm=algorithm, evaluations=tally.evaluations, seed=seed)
+
+
+# --- theirs ----------------------------------------------------------------------------------------------------------
+
+
+def _minionpy(library: Any, tally: Tally, seed: int, algorithm: str) -> None:
+    bounds = list(zip(tally.lower, tally.upper, strict=True))
+    library.Minimizer(
+        lambda points: tally.batch(points).tolist(), bounds, algo=algorithm, maxevals=tally.evaluations, seed=seed
+    ).optimize()
+
+
+def _pygmo(library: Any, tally: Tally, seed: int, algorithm: str, population: int, **settings: Any) -> None:
+    class Problem:
+        """What pygmo copies: functions are shared by copies, a tally would not be."""
+
+        def __init__(self, price: Callable[[FloatArray], float]) -> None:
+            self.price = price
+
+        def fitness(self, x: FloatArray) -> list[float]:
+            return [self.price(x)]
+
+        def get_bounds(self) -> tuple[list[float], list[float]]:
+            return tally.lower.tolist(), tally.upper.tolist()
+
+    each = 2 if algorithm == "bee_colony" else 1
+    generations = math.ceil((tally.evaluations - population) / (each * population)) + 1
+    price = lambda x: tally.single(x)  # noqa: E731, PLW0108 - a method would be copied with its tally
+    swarm = library.population(library.problem(Problem(price)), population, seed=seed)
+    chosen = getattr(library, algorithm)(gen=generations, seed=seed, **settings)
+    library.algorithm(chosen).evolve(swarm)
+
+
+def _cma(library: Any, tally: Tally, seed: int, bipop: bool = False) -> None:
+    rng = np.random.default_rng(seed)
+    library.fmin2(
+        lambda x: float(tally.unit(np.asarray(x)[None])[0]),
+        lambda: rng.random(tally.dimensions),  # a new start for every restart
+        0.25,  # documents: the optimum within the start +- 2 sigma or so
+        {
+            "bounds": [0.0, 1.0],
+            "maxfevals": tally.evaluations,
+            "seed": seed + 1,  # 0 means the clock
+            "verbose": -9,
+            "verb_log": 0,
+        },
+        parallel_objective=lambda points: tally.unit(points).tolist(),
+        restarts=99,
+        incpopsize=2,
+        bipop=bipop,
+    )
+
+
+def _mealpy(library: Any, tally: Tally, seed: int, module: str, variant: str, population: int, each: int = 1) -> None:
+    np.random.seed(seed)  # noqa: NPY002 - its L_SHADE draws from the global one
+    epochs = math.ceil((tally.evaluations - population) / (each * population))
+    problem = {
+        "obj_func": tally.single,
+        "bounds": library.FloatVar(lb=tally.lower, ub=tally.upper),
+        "minmax": "min",
+        "log_to": None,
+    }
+    model = getattr(getattr(library, module), variant)(epoch=max(1, epochs), pop_size=population)
+    model.solve(problem, seed=seed)
+
+
+def _pyswarms(library: Any, tally: Tally, seed: int, population: int) -> None:
+    np.random.seed(seed)  # noqa: NPY002 - it has no other
+    swarm = library.single.GlobalBestPSO(
+        n_particles=population,
+        dimensions=tally.dimensions,
+        options={"c1": 0.5, "c2": 0.3, "w": 0.9},
+        bounds=(tally.lower, tally.upper),
+    )
+    swarm.optimize(tally.batch, iters=math.ceil(tally.evaluations / population) + 1, verbose=False)
+
+
+def _scipy_de(library: Any, tally: Tally, seed: int, popsize: int) -> None:
+    del library
+    optimize = importlib.import_module("scipy.optimize")
+    optimize.differential_evolution(
+        lambda points: tally.batch(points.T),
+        list(zip(tally.lower, tally.upper, strict=True)),
+        popsize=popsize,
+        maxiter=tally.evaluations,
+        tol=0.0,
+        polish=False,
+        vectorized=True,
+        updating="deferred",
+        seed=seed,
+    )
+
+
+def _scipy_annealing(library: Any, tally: Tally, seed: int) -> None:
+    del library
+    optimize = importlib.import_module("scipy.optimize")
+    optimize.dual_annealing(
+        tally.single,
+        list(zip(tally.lower, tally.upper, strict=True)),
+        maxiter=tally.evaluations,
+        maxfun=tally.evaluations + 1,
+        seed=seed,
+    )
+
+
+def _peer(library: str, name: str, search: Run, how: str = "", *, slow: bool = False, **settings: Any) -> Contender:
+    return Contender(f"{library} {name}", library, partial(search, **settings), how or "its defaults", slow)
+
+
+PEERS: tuple[Contender, ...] = (
+    *(_peer("minionpy", name, _minionpy, algorithm=name) for name in ("ARRDE", "jSO", "LSHADE", "AGSK", "j2020")),
+    _peer("pygmo", "pso", _pygmo, "population 100", algorithm="pso", population=100),
+    _peer(
+        "pygmo",
+        "cmaes",
+        _pygmo,
+        "population 50, kept in the box, no early end",
+        algorithm="cmaes",
+        population=50,
+        force_bounds=True,
+        ftol=0.0,
+        xtol=0.0,
+    ),
+    _peer("pygmo", "bee_colony", _pygmo, "population 50", algorithm="bee_colony", population=50),
+    _peer(
+        "pygmo", "de1220", _pygmo, "population 50, no early end", algorithm="de1220", population=50, ftol=0.0, xtol=0.0
+    ),
+    _peer("pygmo", "sade", _pygmo, "population 20, no early end", algorithm="sade", population=20, ftol=0.0, xtol=0.0),
+    _peer("cma", "IPOP", _cma, "unit box, sigma 0.25, restarts anywhere, populations doubled", slow=True),
+    _peer("mealpy", "GWO", _mealpy, "population 50", slow=True, module="GWO", variant="OriginalGWO", population=50),
+    _peer("mealpy", "L_SHADE", _mealpy, "population 50", slow=True, module="SHADE", variant="L_SHADE", population=50),
+    _peer("mealpy", "PSO", _mealpy, "population 50", slow=True, module="PSO", variant="OriginalPSO", population=50),
+    _peer("mealpy", "AVOA", _mealpy, "population 50", slow=True, module="AVOA", variant="OriginalAVOA", population=50),
+    _peer(
+        "mealpy", "ABC", _mealpy, "population 50", slow=True, module="ABC", variant="OriginalABC", population=50, each=2
+    ),
+    _peer("scipy", "DE", _scipy_de, "popsize 2, whole generations, no polish, no early end", popsize=2),
+    _peer("scipy", "dual annealing", _scipy_annealing, "with its local search"),
+    _peer("pyswarms", "GlobalBestPSO", _pyswarms, "100 particles, its documents' options", population=100),
+)
+"""Optimisers of other libraries."""
+
+
+def ours() -> tuple[Contender, ...]:
+    """Return the registry's optimisers as contenders, the default first."""
+    return tuple(Contender(a.name, "", partial(_our, algorithm=a.name), a.title) for a in algorithms())
+
+
+def find_contender(name: str) -> Contender:
+    """Return who is called ``name``, of ours or of other libraries.
+
+    Raises
+    ------
+    MissionError
+        Nobody; the nearest of our names are suggested.
+    """
+    for contender in PEERS:
+        if contender.name == name:
+            return contender
+    return next(c for c in ours() if c.name == find_algorithm(name).name)
