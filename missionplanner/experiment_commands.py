@@ -29,6 +29,10 @@ AsJson = Annotated[bool, typer.Option("--json", help="print JSON on stdout inste
 Seed = Annotated[int, typer.Option(min=0, help="repeats the experiment")]
 Quick = Annotated[bool, typer.Option("--quick", help="a small part of it")]
 MissionFile = Annotated[Path, typer.Option("--mission", help="mission file")]
+Workers = Annotated[int | None, typer.Option(min=1, help="processes; default: one per core")]
+Cluster = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler (tcp://HOST:PORT) whose workers run it instead")
+]
 SAN_GABRIEL = Path("missions/san_gabriel.yaml")
 
 
@@ -127,3 +131,32 @@ def scale(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json: 
     from missionplanner.experiments import scale as experiment
 
     run("scale", output, as_json, lambda folder, show: experiment.main(folder, seed=seed, quick=quick, progress=show))
+
+
+@app.command()
+def table2(
+    output: Output = None,
+    runs: Annotated[int, typer.Option(min=1, help="of every algorithm on every function")] = 51,
+    evaluations: Annotated[int, typer.Option(min=1, help="of every run")] = 10_000,
+    peers: Annotated[bool, typer.Option("--peers", help="minionpy's ARRDE, jSO and LSHADE too")] = False,
+    quick: Quick = False,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    as_json: AsJson = False,
+) -> None:
+    """Run every algorithm on the paper's test functions (its Table II), with ranks and tests."""
+    from missionplanner.experiments import table2 as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(
+            folder,
+            runs=runs,
+            evaluations=evaluations,
+            peers=peers,
+            quick=quick,
+            workers=workers,
+            cluster=cluster,
+            progress=show,
+        )
+
+    run("table2", output, as_json, measure)
