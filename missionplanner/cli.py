@@ -702,6 +702,23 @@ def replay(
 
 
 @app.command()
+def algorithms(as_json: AsJson = False) -> None:
+    """List the search algorithms that --algorithm and the mission file's planner.algorithm take, with their sources."""
+    from rich.table import Table
+
+    from missionplanner.search.registry import algorithms as registered
+
+    listed = registered()
+    if as_json:
+        print_json({"algorithms": [{"name": a.name, "title": a.title, "source": a.source} for a in listed]})
+        return
+    table = Table("name", "what", "source", box=None)
+    for algorithm in listed:
+        table.add_row(algorithm.name, algorithm.title, algorithm.source)
+    stdout.print(table)
+
+
+@app.command()
 def schema() -> None:
     """Print the JSON Schema of the mission file."""
     from missionplanner.mission import mission_schema

@@ -23,7 +23,7 @@ from missionplanner.search.sparrows import sparrows
 from missionplanner.search.spider_wasps import spider_wasps
 from missionplanner.search.vultures import vultures
 
-_PAPER = "Zhu et al., Multi-UAV Cooperative Power Inspection Base on Improved PSO (PAPER.md eqs 25-33)"
+_PAPER = "Zhu, Zhao, Li, Li, Zhao & Wang, Multi-UAV Cooperative Power Inspection Base on Improved PSO Algorithm"
 
 
 def fifty(dimensions: int, evaluations: int) -> int:
