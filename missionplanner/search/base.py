@@ -21,7 +21,10 @@ Callback = Callable[[int, float], bool | None]  # (evaluations so far, best cost
 
 
 class Optimiser(Protocol):
-    """One population moving through the unit box; every ``ask`` is answered by one ``tell``."""
+    """One population moving through the unit box; every ``ask`` is answered by one ``tell``.
+
+    Both are called with numpy's floating-point warnings off: costs may be as large as numbers get.
+    """
 
     def ask(self) -> FloatArray:
         """Return the points (P', D) to price next, each inside the unit box.
