@@ -160,3 +160,78 @@ def table2(
         )
 
     run("table2", output, as_json, measure)
+
+
+@app.command("scenes-2d")
+def scenes_2d(
+    output: Output = None,
+    runs: Runs = 51,
+    quick: Quick = False,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    as_json: AsJson = False,
+) -> None:
+    """Search paths on the paper's kind of 2D grids, sparse and dense (its figures 2-4)."""
+    from missionplanner.experiments import scenes_2d as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(folder, runs=runs, quick=quick, workers=workers, cluster=cluster, progress=show)
+
+    run("scenes-2d", output, as_json, measure)
+
+
+@app.command()
+def mountain(
+    output: Output = None,
+    runs: Runs = 51,
+    quick: Quick = False,
+    mission: MissionFile = Path("missions/mountain.yaml"),
+    workers: Workers = None,
+    cluster: Cluster = None,
+    as_json: AsJson = False,
+) -> None:
+    """Search and plan the paper's mountain scene with five vehicles (its Table IV, figures 7, 12-14)."""
+    from missionplanner.experiments import mountain as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(
+            folder, mission=mission, runs=runs, quick=quick, workers=workers, cluster=cluster, progress=show
+        )
+
+    run("mountain", output, as_json, measure)
+
+
+@app.command("multi-domain")
+def multi_domain(
+    output: Output = None,
+    runs: Runs = 51,
+    quick: Quick = False,
+    mission: MissionFile = Path("missions/multi_domain.yaml"),
+    workers: Workers = None,
+    cluster: Cluster = None,
+    as_json: AsJson = False,
+) -> None:
+    """Search and plan the paper's scene of land, sea and air (its figures 8-11)."""
+    from missionplanner.experiments import multi_domain as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(
+            folder, mission=mission, runs=runs, quick=quick, workers=workers, cluster=cluster, progress=show
+        )
+
+    run("multi-domain", output, as_json, measure)
+
+
+@app.command()
+def collect(
+    update: Annotated[
+        Path, typer.Option(metavar="FILE", help="Markdown file whose sections are brought up to date")
+    ] = Path("docs/EXPERIMENTS.md"),
+    results: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="where the experiments' folders are (experiment_NAME)")
+    ] = Path("out"),
+) -> None:
+    """Put the results of experiments that have been run into one document."""
+    from missionplanner.experiments.document import collect as put_together
+
+    typer.echo(f"{update}: {', '.join(put_together(update, results))}")
