@@ -28,6 +28,7 @@ Output = Annotated[Path | None, typer.Option("--output", "-o", metavar="FOLDER",
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON on stdout instead of tables")]
 Seed = Annotated[int, typer.Option(min=0, help="repeats the experiment")]
 Quick = Annotated[bool, typer.Option("--quick", help="a small part of it")]
+Runs = Annotated[int, typer.Option(min=1, help="of every algorithm")]
 MissionFile = Annotated[Path, typer.Option("--mission", help="mission file")]
 Workers = Annotated[int | None, typer.Option(min=1, help="processes; default: one per core")]
 Cluster = Annotated[
