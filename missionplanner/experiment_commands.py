@@ -115,13 +115,24 @@ def arrival(
     seeds: Annotated[int, typer.Option(min=1, help="plans, each with a seed of its own")] = 20,
     quick: Quick = False,
     mission: MissionFile = SAN_GABRIEL,
+    workers: Workers = None,
+    cluster: Cluster = None,
     as_json: AsJson = False,
 ) -> None:
     """Fly for common arrival in simulation, disturbed in several ways."""
     from missionplanner.experiments import arrival as experiment
 
     def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(folder, mission=mission, seed=seed, seeds=seeds, quick=quick, progress=show)
+        return experiment.main(
+            folder,
+            mission=mission,
+            seed=seed,
+            seeds=seeds,
+            quick=quick,
+            workers=workers,
+            cluster=cluster,
+            progress=show,
+        )
 
     run("arrival", output, as_json, measure)
 
@@ -236,3 +247,47 @@ def collect(
     from missionplanner.experiments.document import collect as put_together
 
     typer.echo(f"{update}: {', '.join(put_together(update, results))}")
+
+
+@app.command()
+def peers(
+    output: Output = None,
+    instances: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="instances (.npz) of the UAV objective")
+    ] = None,
+    scene: Annotated[
+        list[Path], typer.Option(metavar="FILE", help="mission file whose first vehicle is searched; may be repeated")
+    ] = [Path("missions/mountain.yaml")],  # noqa: B006 - typer copies it
+    evaluations: Annotated[list[int], typer.Option(min=1, help="budgets on the UAV objective; may be repeated")] = [
+        10_000,
+        100_000,
+    ],  # noqa: B006
+    seeds: Annotated[int, typer.Option(min=1, help="of every search")] = 15,
+    seconds: Annotated[float | None, typer.Option(min=0.01, help="the same wall time for all instead")] = None,
+    slow_peers: Annotated[
+        bool, typer.Option("--slow-peers", help="mealpy and cma beyond 10,000 evaluations too")
+    ] = False,
+    quick: Quick = False,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    as_json: AsJson = False,
+) -> None:
+    """Search beside mealpy, pygmo, cma, minionpy, scipy and pyswarms; those not installed are left out."""
+    from missionplanner.experiments import peers as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(
+            folder,
+            instances=instances,
+            scenes=scene,
+            budgets=evaluations,
+            seeds=seeds,
+            seconds=seconds,
+            slow_peers=slow_peers,
+            quick=quick,
+            workers=workers,
+            cluster=cluster,
+            progress=show,
+        )
+
+    run("peers", output, as_json, measure)

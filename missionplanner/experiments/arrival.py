@@ -2,20 +2,14 @@
 
 Each seed's plan is flown as planned and disturbed: in wind that it does not know of, with a late start, with a pause;
 and a plan that knows the wind is flown in it. Every vehicle speaks MAVLink: missions are uploaded, positions and
-arrivals are those of its telemetry. What comes of a seed is kept in the folder as soon as it is known; a run that was
-ended goes on from there, as long as neither the mission nor this software has changed.
+arrivals are those of its telemetry.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
-import multiprocessing
-import os
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -24,6 +18,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missionplanner.errors import MissionError, MissionPlannerError
+from missionplanner.experiments import campaign
+from missionplanner.experiments.campaign import Job
 from missionplanner.files import ensure_writable, replacing, write_atomic, write_csv
 from missionplanner.mission import Mission, Wind, load_mission
 from missionplanner.plan import Clearance, FleetPlan
@@ -42,6 +38,7 @@ _QUICK_SEEDS = 1
 _GOLDEN_DEG = 137.508  # from seed to seed: then any number of directions is spread evenly
 _PAUSED_FROM, _PAUSED_STEP, _PAUSED_STEPS = 0.3, 0.1, 4  # when, as a share of the time to arrival
 _PACKAGES = ("missionplanner", "adapters", "sim")
+_WEATHERS: tuple[Weather, ...] = ("calm", "known")
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,9 +128,20 @@ class Results:
         }
 
 
-def main(output: Path, *, mission: Path, seed: int, seeds: int, quick: bool, progress: Progress) -> dict[str, Any]:
+def main(
+    output: Path,
+    *,
+    mission: Path,
+    seed: int,
+    seeds: int,
+    quick: bool,
+    workers: int | None = None,
+    cluster: str | None = None,
+    progress: Progress,
+) -> dict[str, Any]:
     """Run the experiment and write its tables and figures to a folder; return its figures as JSON values."""
-    return run(output, mission, range(seed, seed + (_QUICK_SEEDS if quick else seeds)), progress=progress).as_json()
+    wanted = range(seed, seed + (_QUICK_SEEDS if quick else seeds))
+    return run(output, mission, wanted, progress=progress, workers=workers, cluster=cluster).as_json()
 
 
 def run(
@@ -141,112 +149,48 @@ def run(
     mission: Path,
     seeds: Sequence[int],
     *,
-    progress: Progress = lambda _what, _share: None,
+    progress: Progress | None = None,
     workers: int | None = None,
+    cluster: str | None = None,
 ) -> Results:
-    """Plan and fly a mission with many seeds; write tables and figures to a folder.
-
-    Parameters
-    ----------
-    workers : processes; default: one per core. Results do not depend on it
+    """Plan and fly a mission with many seeds, as a :mod:`.campaign`; write tables and figures to a folder.
 
     Raises
     ------
     MissionError
-        The mission's fleet does not arrive together.
+        The mission's fleet does not arrive together; what the campaign refuses.
     """
     ensure_writable(folder)
     loaded = load_mission(mission)
     if not loaded.fleet.arrive_together or len(loaded.vehicles) < 2:
         raise MissionError(f"{mission}: fleet.arrive_together: expected a fleet that arrives together")
-    for weather in ("calm", "known"):
+    for weather in _WEATHERS:
         _scene(loaded, mission.parent, weather, 0)  # what is wrong with it is told before any work
-    kept = _Kept(folder / "runs.jsonl", mission)
-    jobs = [(mission, weather, seed) for seed in seeds for weather in _weathers()]
-    missing = [job for job in jobs if not kept.has(*job[1:])]
-    done = len(jobs) - len(missing)
-    progress("planned and flown", done / len(jobs))
-    for runs in _worked(missing, workers):
-        kept.add(runs)
-        done += 1
-        progress("planned and flown", done / len(jobs))
-    asked = {seed: k for k, seed in enumerate(seeds)}
+    jobs = [
+        Job(f"{weather}/{seed}", fly_job, {"mission": str(mission.resolve()), "weather": weather, "seed": seed})
+        for seed in seeds
+        for weather in _WEATHERS
+    ]
+    found = campaign.run(
+        jobs,
+        folder,
+        experiment="arrival",
+        version=campaign.version_of({"mission": mission.read_text(encoding="utf-8")}, _PACKAGES),
+        workers=workers,
+        cluster=cluster,
+        progress=progress,
+    )
+    runs = [Run(**run) for job in jobs for run in found[job.key]["runs"]]
     order = [condition.name for condition in CONDITIONS]
-    found = [r for r in kept.runs if r.seed in asked]
-    found.sort(key=lambda r: (order.index(r.condition), asked[r.seed]))
-    results = Results(loaded.name, tuple(found))
+    runs.sort(key=lambda r: order.index(r.condition))  # seeds stay in the order that was asked for
+    results = Results(loaded.name, tuple(runs))
     _write(folder, results)
     return results
 
 
-def _weathers() -> tuple[Weather, ...]:
-    return ("calm", "known")
-
-
-def _worked(jobs: Sequence[tuple[Path, Weather, int]], workers: int | None) -> Iterator[list[Run]]:
-    """Yield what comes of jobs, as it comes."""
-    workers = min(workers or os.cpu_count() or 1, len(jobs))
-    if workers <= 1:
-        yield from (fly_seed(*job) for job in jobs)
-        return
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for future in as_completed([pool.submit(fly_seed, *job) for job in jobs]):
-            yield future.result()
-
-
-class _Kept:
-    """Runs that are kept in a file as they come, and found there again by the same software for the same mission."""
-
-    def __init__(self, path: Path, mission: Path) -> None:
-        self.runs: list[Run] = []
-        self._path = path
-        self._of = {"mission_sha256": _mission_sha256(mission), "software_sha256": _software_sha256()}
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        if not lines or _parsed(lines[0]) != self._of:
-            write_atomic(path, json.dumps(self._of) + "\n")
-            return
-        for line in lines[1:]:
-            found = _parsed(line)  # the last line may have been cut short
-            if found is not None:
-                self.runs.append(Run(**found))
-        self._rewrite()
-
-    def has(self, weather: Weather, seed: int) -> bool:
-        """Whether all runs of a seed's plan are kept."""
-        known = {(r.condition, r.seed) for r in self.runs}
-        return all((c.name, seed) in known for c in CONDITIONS if c.planned == weather)
-
-    def add(self, runs: Sequence[Run]) -> None:
-        """Keep more runs."""
-        known = {(r.condition, r.seed) for r in self.runs}
-        self.runs += [r for r in runs if (r.condition, r.seed) not in known]
-        self._rewrite()
-
-    def _rewrite(self) -> None:
-        lines = [json.dumps(self._of), *(json.dumps(asdict(r)) for r in self.runs)]
-        write_atomic(self._path, "\n".join(lines) + "\n")
-
-
-def _parsed(line: str) -> dict[str, Any] | None:
-    try:
-        found = json.loads(line)
-    except json.JSONDecodeError:
-        return None
-    return found if isinstance(found, dict) else None
-
-
-def _mission_sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _software_sha256() -> str:
-    """Return a digest of all source files that a run depends on."""
-    root = Path(__file__).parents[2]
-    digest = hashlib.sha256()
-    for package in _PACKAGES:
-        for path in sorted((root / package).rglob("*.py")):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+def fly_job(mission: str, weather: Weather, seed: int) -> dict[str, Any]:
+    """Return what came of one plan of a seed, as plain values."""
+    return {"runs": [asdict(run) for run in fly_seed(Path(mission), weather, seed)]}
 
 
 # --- one seed --------------------------------------------------------------------------------------------------------

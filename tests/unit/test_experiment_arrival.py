@@ -5,14 +5,17 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from missionplanner.errors import MissionError
 from missionplanner.experiments import arrival
 from missionplanner.experiments.arrival import CONDITIONS, Results, Run, run, table, wind_of
+from missionplanner.experiments.campaign import Job
 from tests.main_job import mission_path
 
 CALM, WIND_KNOWN, *_ = CONDITIONS
@@ -56,32 +59,32 @@ def test_winds_come_from_everywhere() -> None:
     assert {round(math.hypot(*w.velocity_m_s), 6) for w in winds} == {arrival.WIND_M_S}
 
 
-def test_an_ended_run_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whole lines are kept, one cut short is not; another mission or other software begins anew."""
+def test_a_campaign_of_plans(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One job for each seed and each kind of plan; its runs come back by condition, as they went."""
     mission = tmp_path / "m.yaml"
     mission.write_text(mission_path("quickstart").read_text(encoding="utf-8"), encoding="utf-8")
     made: list[tuple[str, int]] = []
+    versions: list[str] = []
 
     def pretend(_path: Path, weather: str, seed: int) -> list[Run]:
         made.append((weather, seed))
         return [replace(GOOD, condition=c.name, seed=seed, spread_s=0.1) for c in CONDITIONS if c.planned == weather]
 
+    def campaign(jobs: Sequence[Job], _folder: Path, *, version: str, **_: object) -> dict[str, dict[str, Any]]:
+        versions.append(version)
+        return {job.key: json.loads(json.dumps(job.function(**job.arguments))) for job in jobs}
+
     monkeypatch.setattr(arrival, "fly_seed", pretend)
-    folder = tmp_path / "out"
-    first = run(folder, mission, [1, 2], workers=1)
-    assert sorted(made) == [("calm", 1), ("calm", 2), ("known", 1), ("known", 2)]
-    path = folder / "runs.jsonl"
-    text = path.read_text(encoding="utf-8")
-    lines = text.splitlines()
-    (at,) = [k for k, line in enumerate(lines) if '"wind_known"' in line and '"seed": 2' in line]
-    path.write_text("\n".join([*lines[:at], *lines[at + 1 :], lines[at][:40]]), encoding="utf-8")
-    made.clear()
-    assert run(folder, mission, [1, 2], workers=1) == first
-    assert made == [("known", 2)]
+    monkeypatch.setattr(arrival.campaign, "run", campaign)
+    found = run(tmp_path / "out", mission, [2, 1])
+    assert made == [("calm", 2), ("known", 2), ("calm", 1), ("known", 1)]
+    expected = [replace(GOOD, condition=c.name, seed=seed, spread_s=0.1) for c in CONDITIONS for seed in (2, 1)]
+    assert list(found.runs) == expected
+    run(tmp_path / "out", mission, [1])
     mission.write_text(mission.read_text(encoding="utf-8") + "# another\n", encoding="utf-8")
-    made.clear()
-    run(folder, mission, [1], workers=1)
-    assert sorted(made) == [("calm", 1), ("known", 1)]
+    run(tmp_path / "out", mission, [1])
+    assert len(set(versions)) == 2
+    assert versions[0] == versions[1]
 
 
 def test_a_fleet_that_need_not_arrive_together(tmp_path: Path) -> None:
