@@ -256,12 +256,12 @@ def peers(
         Path | None, typer.Option(metavar="FOLDER", help="instances (.npz) of the UAV objective")
     ] = None,
     scene: Annotated[
-        list[Path], typer.Option(metavar="FILE", help="mission file whose first vehicle is searched; may be repeated")
-    ] = [Path("missions/mountain.yaml")],  # noqa: B006 - typer copies it
-    evaluations: Annotated[list[int], typer.Option(min=1, help="budgets on the UAV objective; may be repeated")] = [
-        10_000,
-        100_000,
-    ],  # noqa: B006
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="mission whose first vehicle is searched; default: missions/mountain.yaml"),
+    ] = None,
+    evaluations: Annotated[
+        list[int] | None, typer.Option(min=1, help="budgets on the UAV objective; default: 10000 and 100000")
+    ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="of every search")] = 15,
     seconds: Annotated[float | None, typer.Option(min=0.01, help="the same wall time for all instead")] = None,
     slow_peers: Annotated[
@@ -279,8 +279,8 @@ def peers(
         return experiment.main(
             folder,
             instances=instances,
-            scenes=scene,
-            budgets=evaluations,
+            scenes=[Path("missions/mountain.yaml")] if scene is None else scene,
+            budgets=evaluations or experiment.BUDGETS,
             seeds=seeds,
             seconds=seconds,
             slow_peers=slow_peers,

@@ -16,6 +16,7 @@ import atexit
 import hashlib
 import importlib
 import inspect
+import json
 import math
 import os
 import tempfile
@@ -154,19 +155,18 @@ class Contender:
         call = self.search
         assert isinstance(call, partial)
         depends: dict[str, Any] = {
-            "library": _version(self.library) if self.library else "",
+            "libraries": {name: _version(name) for name in (self.library, "numpy", "scipy") if name},
             "with": repr(sorted(call.keywords.items())),
-            "source": hashlib.sha256(inspect.getsource(call.func).encode()).hexdigest(),
+            "source": inspect.getsource(call.func),
         }
-        modules: list[str] = []
         if self.ours:
             algorithm = find_algorithm(self.name)
             make = algorithm.make
             parts = [make.func, *make.args] if isinstance(make, partial) else [make]
             imported = (name for part in parts for name in _imported(inspect.getmodule(part)))
-            modules = sorted({"missionplanner.search.run", *imported})
+            depends["modules"] = campaign.version_of({}, sorted({"missionplanner.search.run", *imported}))
             depends["population"] = [algorithm.population(d, e) for d in (2, 4, 6, 30) for e in (2500, 10_000, 100_000)]
-        return campaign.version_of(depends, modules)[:10]
+        return hashlib.sha256(json.dumps(depends, sort_keys=True).encode()).hexdigest()[:10]
 
     def run(
         self,
@@ -244,6 +244,15 @@ def _our(_library: None, tally: Tally, seed: int, algorithm: str) -> None:
 
 # --- theirs ----------------------------------------------------------------------------------------------------------
 
+Sizes = tuple[int, int]
+"""Of a population for a short budget and for a long one."""
+
+_LONG = 30_000
+
+
+def _size(sizes: Sizes, tally: Tally) -> int:
+    return sizes[tally.evaluations >= _LONG]
+
 
 def _minionpy(library: Any, tally: Tally, seed: int, algorithm: str) -> None:
     bounds = list(zip(tally.lower, tally.upper, strict=True))
@@ -252,7 +261,7 @@ def _minionpy(library: Any, tally: Tally, seed: int, algorithm: str) -> None:
     ).optimize()
 
 
-def _pygmo(library: Any, tally: Tally, seed: int, algorithm: str, population: int, **settings: Any) -> None:
+def _pygmo(library: Any, tally: Tally, seed: int, algorithm: str, populations: Sizes, **settings: Any) -> None:
     class Problem:
         """What pygmo copies: functions are shared by copies, a tally would not be."""
 
@@ -265,6 +274,7 @@ def _pygmo(library: Any, tally: Tally, seed: int, algorithm: str, population: in
         def get_bounds(self) -> tuple[list[float], list[float]]:
             return tally.lower.tolist(), tally.upper.tolist()
 
+    population = _size(populations, tally)
     each = 2 if algorithm == "bee_colony" else 1
     generations = math.ceil((tally.evaluations - population) / (each * population)) + 1
     price = lambda x: tally.single(x)  # noqa: E731, PLW0108 - a method would be copied with its tally
@@ -327,13 +337,13 @@ def _pyswarms(library: Any, tally: Tally, seed: int, population: int) -> None:
     swarm.optimize(tally.batch, iters=math.ceil(tally.evaluations / population) + 1, verbose=False)
 
 
-def _scipy_de(library: Any, tally: Tally, seed: int, popsize: int) -> None:
+def _scipy_de(library: Any, tally: Tally, seed: int, populations: Sizes) -> None:
     del library
     optimize = importlib.import_module("scipy.optimize")
     optimize.differential_evolution(
         lambda points: tally.batch(points.T),
         list(zip(tally.lower, tally.upper, strict=True)),
-        popsize=popsize,
+        popsize=_size(populations, tally),
         maxiter=tally.evaluations,
         tol=0.0,
         polish=False,
@@ -359,25 +369,20 @@ def _peer(library: str, name: str, search: Run, how: str = "", *, slow: bool = F
     return Contender(f"{library} {name}", library, partial(search, **settings), how or "its defaults", slow)
 
 
+_ENDLESS: dict[str, Any] = {"ftol": 0.0, "xtol": 0.0}
+
 PEERS: tuple[Contender, ...] = (
     *(_peer("minionpy", name, _minionpy, algorithm=name) for name in ("ARRDE", "jSO", "LSHADE", "AGSK", "j2020")),
-    _peer("pygmo", "pso", _pygmo, "population 100", algorithm="pso", population=100),
-    _peer(
-        "pygmo",
-        "cmaes",
-        _pygmo,
-        "population 50, kept in the box, no early end",
-        algorithm="cmaes",
-        population=50,
-        force_bounds=True,
-        ftol=0.0,
-        xtol=0.0,
+    *(
+        _peer("pygmo", name, _pygmo, how, algorithm=name, populations=populations, **settings)
+        for name, how, populations, settings in (
+            ("pso", "population 100", (100, 100), {}),
+            ("cmaes", "population 50, kept in the box, no early end", (50, 50), {**_ENDLESS, "force_bounds": True}),
+            ("bee_colony", "population 50, long budgets 100", (50, 100), {}),
+            ("de1220", "population 50, no early end", (50, 50), _ENDLESS),
+            ("sade", "population 20, long budgets 50, no early end", (20, 50), _ENDLESS),
+        )
     ),
-    _peer("pygmo", "bee_colony", _pygmo, "population 50", algorithm="bee_colony", population=50),
-    _peer(
-        "pygmo", "de1220", _pygmo, "population 50, no early end", algorithm="de1220", population=50, ftol=0.0, xtol=0.0
-    ),
-    _peer("pygmo", "sade", _pygmo, "population 20, no early end", algorithm="sade", population=20, ftol=0.0, xtol=0.0),
     _peer("cma", "IPOP", _cma, "unit box, sigma 0.25, restarts anywhere, populations doubled", slow=True),
     *(
         _peer("mealpy", name, _mealpy, "population 50", slow=True, population=50, **settings)
@@ -401,7 +406,7 @@ PEERS: tuple[Contender, ...] = (
         each=0.5,
         unit=True,
     ),
-    _peer("scipy", "DE", _scipy_de, "popsize 2, whole generations, no polish, no early end", popsize=2),
+    _peer("scipy", "DE", _scipy_de, "popsize 2, long budgets 4, no polish, no early end", populations=(2, 4)),
     _peer("scipy", "dual annealing", _scipy_annealing, "with its local search"),
     _peer("pyswarms", "GlobalBestPSO", _pyswarms, "100 particles, its documents' options", population=100),
 )

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from missionplanner.errors import MissionError
-from missionplanner.experiments import contenders
+from missionplanner.experiments import contenders, peers
 from missionplanner.experiments.contenders import PEERS, BudgetSpent, Contender, Tally, find_contender, ours
+from missionplanner.experiments.peers import Results, Run
 
 LOWER, UPPER = np.full(3, -4.0), np.array([6.0, 5.0, 7.0])
 
@@ -122,3 +127,122 @@ def test_digests_tell_algorithms_and_settings_apart() -> None:
     digests = [c.digest() for c in present]
     assert digests == [c.digest() for c in present]
     assert len(set(digests)) == len({repr(c.search) for c in present})
+
+
+# --- the experiment ----------------------------------------------------------------------------------------------
+
+
+def instance(folder: Path) -> None:
+    """Write a small map with two cylinders between its ends."""
+    folder.mkdir(exist_ok=True)
+    rng = np.random.default_rng(3)
+    np.savez(
+        folder / "small.npz",
+        H=rng.uniform(0.0, 3.0, (200, 200)),
+        threats=np.array([[100.0, 100.0, 100.0, 20.0], [60.0, 90.0, 100.0, 15.0]]),
+        start=np.array([20.0, 20.0, 150.0]),
+        end=np.array([180.0, 180.0, 150.0]),
+    )
+
+
+def made(costs: dict[str, list[float]], free: bool = True) -> Results:
+    """Return results of one instance by given costs of contenders."""
+    runs = {
+        ("inst", name, 100): tuple(Run(c, free, 100, 0.5, ((1, 0.01, 2 * c), (50, 0.02, c))) for c in values)
+        for name, values in costs.items()
+    }
+    return Results((), ("inst",), tuple(find_contender(name) for name in costs), (), None, runs)
+
+
+def test_gaps_are_over_the_best_of_all_runs() -> None:
+    results = made({"pso-abc-sa": [100.0, 110.0, 120.0], "scipy DE": [150.0, 160.0, 200.0]})
+    first, second = peers.summary(results, ["inst"], 100)
+    assert (first["contender"], second["contender"]) == ("pso-abc-sa", "scipy DE")
+    assert (first["gap_median_percent"], first["gap_worst_percent"]) == pytest.approx((10.0, 20.0))
+    assert second["gap_mean_percent"] == pytest.approx(70.0)
+    assert (first["rank"], second["rank"]) == (1.0, 2.0)
+    assert second["p_holm"] == pytest.approx(0.25)  # three of three: 2 / 2^3
+    assert first["cpu_s_per_10000"] == pytest.approx(50.0)
+    assert peers.as_json(results)["instances"][0]["best_peer"] == "scipy DE"
+
+
+def test_what_was_known_before_counts_as_best(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(peers.KNOWN, "inst", 50.0)
+    row = peers.summary(made({"pso-abc-sa": [100.0, 100.0]}), ["inst"], 100)[0]
+    assert row["gap_median_percent"] == pytest.approx(100.0)
+
+
+def test_a_small_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ours and SciPy on a map and a scene; asked again nothing is run; who is absent or slow is told."""
+    instance(tmp_path / "maps")
+    monkeypatch.setattr(peers, "_SLOW_FROM", 400)
+    absent = Contender("nowhere X", "no-such-library", find_contender("scipy DE").search)
+    slow = replace(find_contender("scipy dual annealing"), slow=True)
+    who = [find_contender("pso-abc-sa"), find_contender("scipy DE"), absent, slow]
+    out = tmp_path / "out"
+
+    def again() -> Results:
+        return peers.run(out, who, instances=tmp_path / "maps", scenes=[], budgets=(300, 500), seeds=2, workers=1)
+
+    results = again()
+    kept = (out / "runs.jsonl").read_bytes()
+    assert [c.name for c in results.absent] == ["nowhere X"]
+    assert [c.name for c in results.who(["small"], 500)] == ["pso-abc-sa", "scipy DE"]
+    assert [c.name for c in results.who(["small"], 300)] == ["pso-abc-sa", "scipy DE", "scipy dual annealing"]
+    assert again().runs == results.runs
+    assert (out / "runs.jsonl").read_bytes() == kept
+    for (name, _, budget), runs in results.runs.items():
+        for one in runs:
+            assert one.evaluations <= budget
+            used, _, cost = zip(*one.curve, strict=True)
+            assert cost[-1] == one.cost
+            assert used[-1] <= one.evaluations
+            assert list(cost) == sorted(cost, reverse=True)
+            assert one.cost >= results.best(name)
+    peers._write(out, results)
+    text = (out / "results.md").read_text(encoding="utf-8")
+    assert "left out of the long budget (--slow-peers): scipy dual annealing" in text
+    assert "Not installed, left out: nowhere X" in text
+    assert {p.name for p in out.iterdir()} == {"runs.jsonl", "peers.csv", "results.md", "gap.png"}
+    told = peers.as_json(results)
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+
+
+def test_time_is_the_same_for_everybody(tmp_path: Path) -> None:
+    """A timed search ends by itself near its time, however many evaluations that is."""
+    instance(tmp_path)
+    source = {"kind": "uav", "text": str(tmp_path / "small.npz")}
+    told = peers.search(source, "pso-abc-sa", 0, 0.2, 1)
+    assert told["evaluations"] > 0
+    assert told["curve"][-1][1] <= 0.2 + 0.1
+    with pytest.raises(MissionError, match="on this machine"):
+        peers.run(
+            tmp_path / "o",
+            [],
+            instances=tmp_path,
+            scenes=[],
+            budgets=(),
+            seeds=1,
+            seconds=1.0,
+            cluster="tcp://localhost:1",
+        )
+
+
+def test_scenes_are_searched_as_the_paper_poses_them(tmp_path: Path) -> None:
+    """The first vehicle's control points; what is free touches neither ground nor obstacles."""
+    mission = Path("missions/mountain.yaml")
+    asked = peers.problem("scene", mission.read_text(encoding="utf-8"))
+    assert (asked.name, len(asked.lower)) == ("mountain", 30)
+    start, goal = np.array([100.0, 20.0, 1500.0]), np.array([600.0, 450.0, 2000.0])
+    straight = np.linspace(start, goal, 12)[1:-1]
+    around = straight + np.sin(np.linspace(0.0, np.pi, 12))[1:-1, None] * np.array([60.0, -60.0, 0.0])
+    assert not asked.free(straight.ravel())  # the straight way crosses a cylinder
+    assert asked.free(around.ravel())
+    assert asked.price(around.reshape(1, -1))[0] < asked.price(straight.reshape(1, -1))[0]
+
+
+def test_wrong_input_is_told(tmp_path: Path) -> None:
+    with pytest.raises(MissionError, match=r"expected a folder with instances \(\*\.npz\), found none"):
+        peers.main(tmp_path / "out", instances=tmp_path)
+    with pytest.raises(MissionError, match="expected something to search"):
+        peers.main(tmp_path / "out")

@@ -1,0 +1,524 @@
+"""Our search beside those of other libraries, in one run; ``missionplanner experiment peers``.
+
+On the UAV objective (:mod:`.uav_objective`, instances from a folder) and on the paper's scenes, posed as in
+:mod:`.scene_runs` (its first vehicle, control points anywhere, the mission's price). Everybody gets the same
+evaluations, counted by a :class:`~.contenders.Tally`, or the same wall time. Nobody gets first guesses: what those are
+worth is measured by `uav`; sampling planners (OMPL), which search paths and not boxes, stand beside ours in `lengths`.
+
+Runs are kept by what they depend on: the problem's values, the library's version and how it is called, and for our
+optimisers their source. A run of the same folder after a change of ours runs ours again and nobody else.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
+
+from missionplanner.errors import MissionError
+from missionplanner.experiments import campaign, scene_runs, uav_objective
+from missionplanner.experiments.contenders import INSTALL, PEERS, Contender, Tally, find_contender, ours
+from missionplanner.experiments.statistics import friedman, paired
+from missionplanner.files import replacing, write_atomic, write_csv
+from missionplanner.mission import load_mission
+
+Progress = Callable[[str, float], None]
+FloatArray = npt.NDArray[np.float64]
+
+BUDGETS, SEEDS = (10_000, 100_000), 15
+SCENE_BUDGET = 10_000
+"""The paper's: 50 particles, 200 iterations."""
+
+BEST, PAPER_FORM = "pso-abc-sa", "pso-abc-sa-paper"
+OURS = (BEST, PAPER_FORM)
+
+KNOWN = {"inst01": 5982.0, "inst04": 5688.0, "inst08": 7420.0, "inst12": 5664.0, "inst28": 7702.0, "inst40": 8090.0}
+"""Best costs known before; a better one found in a run takes their place there."""
+
+_SLOW_FROM = 10_001  # evaluations that slow libraries do only when asked to
+_CALIBRATION = 2000  # evaluations by which the schedules of timed runs are set
+_WARM = 200
+_GRID = 60
+_QUICK = (1000,), 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """A function to minimise over a box, and whether a point of it is free of penalties."""
+
+    name: str
+    price: Callable[[FloatArray], FloatArray]
+    lower: FloatArray
+    upper: FloatArray
+    free: Callable[[FloatArray], bool]
+
+    def digest(self) -> str:
+        """Return a digest of its box and of its values at fixed points, to nine digits."""
+        rng = np.random.default_rng(0)
+        points = self.lower + rng.random((64, len(self.lower))) * (self.upper - self.lower)
+        values = np.concatenate([self.lower, self.upper, self.price(points)])
+        return hashlib.sha256(" ".join(f"{v:.8e}" for v in values).encode()).hexdigest()[:10]
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What came of one search."""
+
+    cost: float
+    free: bool
+    evaluations: int
+    cpu_s: float
+    curve: tuple[tuple[int, float, float], ...]  # evaluations, seconds, best cost
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Results:
+    """All runs: by problem, contender and budget (evaluations; 0: by time)."""
+
+    scenes: tuple[str, ...]
+    instances: tuple[str, ...]
+    contenders: tuple[Contender, ...]
+    absent: tuple[Contender, ...]
+    seconds: float | None
+    runs: Mapping[tuple[str, str, int], tuple[Run, ...]]
+
+    @property
+    def budgets(self) -> list[int]:
+        """The budgets of the UAV objective."""
+        return sorted({budget for problem, _, budget in self.runs if problem in self.instances})
+
+    def best(self, problem: str) -> float:
+        """Return the least cost known of a problem: before, or by any run here."""
+        found = min(run.cost for (name, _, _), runs in self.runs.items() if name == problem for run in runs)
+        return min(found, KNOWN.get(problem, np.inf))
+
+    def who(self, problems: Sequence[str], budget: int) -> list[Contender]:
+        """Return who ran all of some problems with a budget."""
+        return [c for c in self.contenders if all((p, c.name, budget) in self.runs for p in problems)]
+
+    def gaps(self, problems: Sequence[str], contender: str, budget: int) -> FloatArray:
+        """Return by how many percent all runs (problems * seeds,) missed the best."""
+        return np.array(
+            [
+                100.0 * (run.cost / self.best(problem) - 1.0)
+                for problem in problems
+                for run in self.runs[problem, contender, budget]
+            ]
+        )
+
+
+def main(
+    output: Path,
+    *,
+    instances: Path | None = None,
+    scenes: Sequence[Path] = (),
+    budgets: Sequence[int] = BUDGETS,
+    seeds: int = SEEDS,
+    seconds: float | None = None,
+    slow_peers: bool = False,
+    quick: bool = False,
+    workers: int | None = None,
+    cluster: str | None = None,
+    progress: Progress | None = None,
+) -> dict[str, Any]:
+    """Run the experiment and write its tables and figure to a folder; return its figures as JSON values."""
+    if quick:
+        budgets, seeds = _QUICK
+    results = run(
+        output,
+        [c for c in ours() if c.name in OURS] + list(PEERS),
+        instances=instances,
+        scenes=scenes,
+        budgets=budgets,
+        seeds=seeds,
+        seconds=seconds,
+        slow_peers=slow_peers,
+        workers=workers,
+        cluster=cluster,
+        progress=progress,
+    )
+    _write(output, results)
+    return as_json(results)
+
+
+def run(
+    folder: Path,
+    contenders: Sequence[Contender],
+    *,
+    instances: Path | None,
+    scenes: Sequence[Path],
+    budgets: Sequence[int],
+    seeds: int,
+    seconds: float | None = None,
+    slow_peers: bool = False,
+    workers: int | None = None,
+    cluster: str | None = None,
+    progress: Progress | None = None,
+) -> Results:
+    """Run every contender on every problem; only what the folder does not hold is run.
+
+    Raises
+    ------
+    MissionError
+        No instances where some were named, nothing to search, or wall time to be shared on a cluster.
+    """
+    if seconds is not None:
+        if cluster is not None:
+            raise MissionError(
+                "--seconds: expected searches on this machine, got --cluster: wall times would not compare"
+            )
+        workers = workers or 1  # two at once would take time from each other
+    found = sorted(instances.glob("*.npz")) if instances is not None else []
+    if instances is not None and not found:
+        raise MissionError(f"--instances {instances}: expected a folder with instances (*.npz), found none")
+    if not found and not scenes:
+        raise MissionError("peers: expected something to search: name --instances FOLDER, or a --scene")
+    sources = {path.stem: _instance(path) for path in found} | {path.stem: _scene(path) for path in scenes}
+    present = [c for c in contenders if c.installed]
+    jobs: dict[tuple[str, str, int, int], campaign.Job] = {}
+    for name, source in sources.items():
+        digest = problem(**source).digest()
+        wanted = [SCENE_BUDGET] if source["kind"] == "scene" else budgets
+        for c, own in ((c, c.digest()) for c in present):
+            for budget in [0] if seconds is not None else wanted:
+                if c.slow and budget >= _SLOW_FROM and not slow_peers:
+                    continue
+                arguments = {"source": source, "contender": c.name, "evaluations": budget, "seconds": seconds}
+                for seed in range(seeds):
+                    key = f"{name}@{digest}/{c.name}@{own}/{f'{seconds:g}s' if seconds else budget}/{seed}"
+                    jobs[name, c.name, budget, seed] = campaign.Job(key, search, {**arguments, "seed": seed})
+    kept = campaign.run(
+        list(jobs.values()),
+        folder,
+        experiment="peers",
+        version="1",  # all that a run depends on is in its key
+        workers=workers,
+        cluster=cluster,
+        progress=progress,
+    )
+    runs: dict[tuple[str, str, int], tuple[Run, ...]] = {}
+    for (name, contender, budget, _), job in jobs.items():
+        told = kept[job.key]
+        curve = tuple((int(e), float(s), float(cost)) for e, s, cost in told["curve"])
+        one = Run(told["cost"], told["free"], told["evaluations"], told["cpu_s"], curve)
+        runs[name, contender, budget] = (*runs.get((name, contender, budget), ()), one)
+    return Results(
+        tuple(path.stem for path in scenes),
+        tuple(path.stem for path in found),
+        tuple(present),
+        tuple(c for c in contenders if not c.installed),
+        seconds,
+        runs,
+    )
+
+
+def _instance(path: Path) -> dict[str, str]:
+    return {"kind": "uav", "text": str(path.resolve())}
+
+
+def _scene(path: Path) -> dict[str, str]:
+    load_mission(path)  # what is wrong with it is told before any work
+    return {"kind": "scene", "text": path.read_text(encoding="utf-8")}
+
+
+@lru_cache(maxsize=8)
+def problem(kind: str, text: str) -> Problem:
+    """Return the problem of an instance's file, or of a mission's text."""
+    if kind == "uav":
+        instance = uav_objective.load(Path(text))
+        return Problem(
+            instance.name,
+            lambda points: instance.price(points, threads=1),
+            instance.lower,
+            instance.upper,
+            lambda point: bool(instance.free(point[None])[0]),
+        )
+    scene, judge = scene_runs.resolved(text)
+    family, price = scene_runs.curves(scene, 0), scene_runs.price_of(scene, 0, [])
+
+    def free(point: FloatArray) -> bool:
+        kept = judge.kept(family.paths(point[None])[0])
+        return bool(kept.height_m > 0.0 and kept.obstacle_m > 0.0)
+
+    return Problem(
+        scene.mission.name, lambda points: price.total(family.paths(points)), family.lower, family.upper, free
+    )
+
+
+def search(
+    source: Mapping[str, str], contender: str, evaluations: int, seconds: float | None, seed: int
+) -> dict[str, Any]:
+    """Return what one search found: with so many evaluations, or in so many seconds."""
+    asked, who = problem(**source), find_contender(contender)
+    _warm(contender, source["kind"], source["text"])
+
+    def searched(budget: int, limit_s: float | None) -> tuple[Tally, float]:
+        begin_s = time.process_time()
+        tally = who.run(asked.price, asked.lower, asked.upper, evaluations=budget, seed=seed, seconds=limit_s)
+        return tally, time.process_time() - begin_s
+
+    if seconds is not None:  # schedules need a budget: as many as a short run says there is time for
+        begin_s = time.perf_counter()
+        searched(_CALIBRATION, None)
+        evaluations = max(_CALIBRATION, int(_CALIBRATION * seconds / (time.perf_counter() - begin_s)))
+    tally, cpu_s = searched(evaluations, seconds)
+    return {
+        "cost": tally.cost,
+        "free": asked.free(tally.best),
+        "evaluations": tally.used,
+        "cpu_s": cpu_s,
+        "curve": [[used, round(at_s, 5), cost] for used, at_s, cost in tally.curve],
+        "best": tally.best.tolist(),
+    }
+
+
+@cache
+def _warm(contender: str, kind: str, text: str) -> None:
+    """Import and compile what a search needs: that is nobody's search time."""
+    asked = problem(kind, text)
+    find_contender(contender).run(asked.price, asked.lower, asked.upper, evaluations=_WARM, seed=0)
+    asked.free(asked.lower)
+
+
+# --- what is made of it ----------------------------------------------------------------------------------------------
+
+
+def summary(results: Results, problems: Sequence[str], budget: int) -> list[dict[str, Any]]:
+    """Return a row per contender who ran all of these problems with this budget, the lowest median gap first."""
+    who = [c.name for c in results.who(problems, budget)]
+    if not who:
+        return []
+    gaps = np.stack([results.gaps(problems, name, budget) for name in who], axis=1)
+    ranks = friedman(gaps).ranks if len(who) > 1 else np.ones(1)
+    against = {c.other: c for c in paired(gaps, who, BEST)} if BEST in who else {}
+    rows = []
+    for k, name in enumerate(who):
+        runs = [run for problem in problems for run in results.runs[problem, name, budget]]
+        rows.append(
+            {
+                "contender": name,
+                "ours": find_contender(name).ours,
+                "gap_median_percent": float(np.median(gaps[:, k])),
+                "gap_mean_percent": float(np.mean(gaps[:, k])),
+                "gap_worst_percent": float(np.max(gaps[:, k])),
+                "free": float(np.mean([run.free for run in runs])),
+                "rank": float(ranks[k]),
+                "p_holm": against[name].p_holm if name in against else None,
+                "cpu_s_per_10000": float(np.median([1e4 * run.cpu_s / run.evaluations for run in runs])),
+                "evaluations_median": float(np.median([run.evaluations for run in runs])),
+                "runs": len(runs),
+            }
+        )
+    return sorted(rows, key=lambda row: row["gap_median_percent"])
+
+
+def as_json(results: Results) -> dict[str, Any]:
+    """Return plain JSON values."""
+    return {
+        "seconds": results.seconds,
+        "absent": [c.name for c in results.absent],
+        "uav": [{"budget": b, "rows": summary(results, results.instances, b)} for b in results.budgets],
+        "instances": _per_problem(results, results.instances, results.budgets),
+        "scenes": _per_problem(results, results.scenes, [0 if results.seconds is not None else SCENE_BUDGET]),
+        "scene_rows": {
+            name: summary(results, [name], 0 if results.seconds is not None else SCENE_BUDGET)
+            for name in results.scenes
+        },
+    }
+
+
+def _per_problem(results: Results, problems: Sequence[str], budgets: Sequence[int]) -> list[dict[str, Any]]:
+    """Return, problem by problem, the medians of the best form and of the best of the others."""
+    rows = []
+    for name in problems:
+        for budget in budgets:
+            medians = {
+                c.name: float(np.median([run.cost for run in results.runs[name, c.name, budget]]))
+                for c in results.who([name], budget)
+            }
+            others = {who: cost for who, cost in medians.items() if who not in OURS}
+            first = min(others, key=others.__getitem__) if others else None
+            rows.append(
+                {
+                    "problem": name,
+                    "budget": budget,
+                    "best_known": results.best(name),
+                    "ours_median": medians.get(BEST),
+                    "best_peer": first,
+                    "best_peer_median": None if first is None else others[first],
+                }
+            )
+    return rows
+
+
+# --- what is written -------------------------------------------------------------------------------------------------
+
+
+def _write(folder: Path, results: Results) -> None:
+    write_csv(
+        folder / "peers.csv",
+        ["problem", "contender", "budget", "seed", "cost", "free", "evaluations", "cpu_s"],
+        [
+            [*key, seed, one.cost, int(one.free), one.evaluations, round(one.cpu_s, 4)]
+            for key, runs in results.runs.items()
+            for seed, one in enumerate(runs)
+        ],
+    )
+    write_atomic(folder / "results.md", table(results))
+    with replacing(folder / "gap.png") as draft:
+        _drawn(results).savefig(draft, format="png", metadata={"Software": None})
+
+
+def table(results: Results) -> str:
+    """Return the figures as Markdown."""
+    lines = ["# Beside other libraries", ""]
+    limit = "the evaluations" if results.seconds is None else f"{results.seconds:g} s of wall time"
+    lines += [
+        f"All in one run on one machine, a thread each, {limit} the same for everybody. Gap: excess over the best cost "
+        "known, by any run here or before. Free: without penalty. Rank: Friedman's over all runs; p: Wilcoxon's signed "
+        f"ranks of {BEST} against each, corrected by Holm. Processor time includes the function's own.",
+    ]
+    if results.instances:
+        lines += ["", f"## UAV objective, {len(results.instances)} instances"]
+        for budget in results.budgets:
+            lines += _table_lines(results, results.instances, budget)
+        lines += _problem_lines(results, results.instances, results.budgets)
+    for name in results.scenes:
+        lines += ["", f"## Scene {name}: its first vehicle, {scene_runs.CONTROLS} control points"]
+        lines += _table_lines(results, [name], 0 if results.seconds is not None else SCENE_BUDGET)
+    lines += ["", "![median gap over evaluations](gap.png)", "", "How each was used:", ""]
+    lines += [f"- {c.name}: {c.how}" for c in results.contenders]
+    late = [
+        c.name
+        for c in results.contenders
+        if c.slow and not any(b >= _SLOW_FROM for _, n, b in results.runs if n == c.name)
+    ]
+    if late and any(b >= _SLOW_FROM for b in results.budgets):
+        lines += ["", f"Slow, and left out of the long budget (--slow-peers): {', '.join(late)}."]
+    if results.absent:
+        lines += ["", f"Not installed, left out: {', '.join(c.name for c in results.absent)} ({INSTALL})."]
+    return "\n".join(lines) + "\n"
+
+
+def _table_lines(results: Results, problems: Sequence[str], budget: int) -> list[str]:
+    rows = summary(results, problems, budget)
+    if not rows:
+        return []
+    seeds = rows[0]["runs"] // len(problems)
+    what = f"{budget:,} evaluations" if budget else f"{results.seconds:g} s"
+    lines = [
+        "",
+        f"{what}, {seeds} seeds:",
+        "",
+        "| | gap: median | mean | worst | free | rank | p | processor s per 10,000 |"
+        + (" evaluations |" if not budget else ""),
+        "|---" * (8 if budget else 9) + "|",
+    ]
+    for r in rows:
+        name = f"**{r['contender']}**" if r["ours"] else r["contender"]
+        p = "-" if r["p_holm"] is None else f"{r['p_holm']:.1g}"
+        lines.append(
+            f"| {name} | {r['gap_median_percent']:.2f} % | {r['gap_mean_percent']:.1f} % | "
+            f"{r['gap_worst_percent']:.0f} % | {100.0 * r['free']:.0f} % | {r['rank']:.1f} | {p} | "
+            f"{r['cpu_s_per_10000']:.3f} |" + (f" {r['evaluations_median']:,.0f} |" if not budget else "")
+        )
+    return lines
+
+
+def _problem_lines(results: Results, problems: Sequence[str], budgets: Sequence[int]) -> list[str]:
+    lines = [
+        "",
+        f"Medians, instance by instance, of {BEST} and of whoever else is best there:",
+        "",
+        "| | best known |" + "".join(f" {'time' if not b else f'{b:,}'}: ours | best peer |" for b in budgets),
+        "|---" * (2 + 2 * len(budgets)) + "|",
+    ]
+    for name in problems:
+        cells = [name, f"{results.best(name):,.1f}"]
+        for row in _per_problem(results, [name], budgets):
+            own, other = row["ours_median"], row["best_peer_median"]
+            cells.append("-" if own is None else f"{own:,.1f}")
+            cells.append("-" if other is None else f"{other:,.1f} {row['best_peer']}")
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+_COLOURS = {BEST: "#d55e00", PAPER_FORM: "#e69f00"}
+_PEER_COLOURS = ("#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#222222", "#8c6d31")
+
+
+def _drawn(results: Results) -> Figure:
+    """Draw the median gap over evaluations, or over time: a panel for each budget and each scene."""
+    panels: list[tuple[Sequence[str], int, str]] = [
+        (results.instances, b, f"UAV objective, {b:,} evaluations" if b else "UAV objective") for b in results.budgets
+    ]
+    panels += [([name], 0 if results.seconds is not None else SCENE_BUDGET, name) for name in results.scenes]
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(4.6 * columns + 0.4, 3.4 * rows), dpi=110, layout="constrained")
+    FigureCanvasAgg(figure)
+    every = np.atleast_1d(figure.subplots(rows, columns)).ravel()
+    for axes, (problems, budget, title) in zip(every, panels, strict=False):
+        _panel(axes, results, problems, budget)
+        axes.set_title(title, fontsize=9)
+    for axes in every[len(panels) :]:
+        axes.set_axis_off()
+    figure.supylabel("median gap, %", fontsize=8)
+    figure.supxlabel("evaluations" if results.seconds is None else "seconds", fontsize=8)
+    return figure
+
+
+def _panel(axes: Axes, results: Results, problems: Sequence[str], budget: int) -> None:
+    rows = summary(results, problems, budget)
+    strongest = [r["contender"] for r in rows if not r["ours"]][: len(_PEER_COLOURS)]
+    colours = {**dict(zip(strongest, _PEER_COLOURS, strict=False)), **_COLOURS}
+    longest = max(run.curve[-1][0] for p in problems for r in rows for run in results.runs[p, r["contender"], budget])
+    timed = results.seconds is not None
+    grid = (
+        np.geomspace(1e-3, results.seconds, _GRID)
+        if results.seconds is not None
+        else np.geomspace(min(100, longest), budget or longest, _GRID)
+    )
+    for row in rows:
+        name = row["contender"]
+        gaps = [
+            100.0 * (_stepped(run, grid, timed) / results.best(p) - 1.0)
+            for p in problems
+            for run in results.runs[p, name, budget]
+        ]
+        middle = np.median(np.array(gaps), axis=0)
+        seen = np.isfinite(middle)
+        known = name in colours
+        axes.loglog(
+            grid[seen],
+            np.maximum(middle[seen], 1e-3),
+            color=colours.get(name, "#c8ced3"),
+            linewidth=2.2 if name == BEST else 1.2 if known else 0.7,
+            zorder=3 if name == BEST else 2 if known else 1,
+            label=name if known else None,
+        )
+    axes.legend(fontsize=6.5, frameon=False)
+    axes.tick_params(labelsize=7, length=2)
+    axes.tick_params(which="minor", length=0)
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _stepped(run: Run, grid: FloatArray, timed: bool) -> FloatArray:
+    used, at_s, cost = np.array(run.curve).T
+    at = np.searchsorted(at_s if timed else used, grid, side="right") - 1
+    return np.where(at >= 0, cost[np.maximum(at, 0)], np.inf)
