@@ -326,7 +326,8 @@ def _mealpy(
     model.solve(problem, seed=seed)
 
 
-def _pyswarms(library: Any, tally: Tally, seed: int, population: int) -> None:
+def _pyswarms(library: Any, tally: Tally, seed: int, populations: Sizes) -> None:
+    population = _size(populations, tally)
     np.random.seed(seed)  # noqa: NPY002 - it has no other
     swarm = library.single.GlobalBestPSO(
         n_particles=population,
@@ -337,13 +338,13 @@ def _pyswarms(library: Any, tally: Tally, seed: int, population: int) -> None:
     swarm.optimize(tally.batch, iters=math.ceil(tally.evaluations / population) + 1, verbose=False)
 
 
-def _scipy_de(library: Any, tally: Tally, seed: int, populations: Sizes) -> None:
+def _scipy_de(library: Any, tally: Tally, seed: int, popsize: int) -> None:
     del library
     optimize = importlib.import_module("scipy.optimize")
     optimize.differential_evolution(
         lambda points: tally.batch(points.T),
         list(zip(tally.lower, tally.upper, strict=True)),
-        popsize=_size(populations, tally),
+        popsize=popsize,
         maxiter=tally.evaluations,
         tol=0.0,
         polish=False,
@@ -406,9 +407,15 @@ PEERS: tuple[Contender, ...] = (
         each=0.5,
         unit=True,
     ),
-    _peer("scipy", "DE", _scipy_de, "popsize 2, long budgets 4, no polish, no early end", populations=(2, 4)),
+    _peer("scipy", "DE", _scipy_de, "popsize 2, no polish, no early end", popsize=2),
     _peer("scipy", "dual annealing", _scipy_annealing, "with its local search"),
-    _peer("pyswarms", "GlobalBestPSO", _pyswarms, "100 particles, its documents' options", population=100),
+    _peer(
+        "pyswarms",
+        "GlobalBestPSO",
+        _pyswarms,
+        "100 particles, long budgets 50, its documents' options",
+        populations=(100, 50),
+    ),
 )
 """Optimisers of other libraries."""
 
