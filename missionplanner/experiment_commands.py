@@ -291,3 +291,11 @@ def peers(
         )
 
     run("peers", output, as_json, measure)
+
+
+@app.command()
+def table3(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json: AsJson = False) -> None:
+    """Measure what the algorithms themselves cost (the paper's Table III, the method of CEC 2005)."""
+    from missionplanner.experiments import table3 as experiment
+
+    run("table3", output, as_json, lambda folder, show: experiment.main(folder, seed=seed, quick=quick, progress=show))
