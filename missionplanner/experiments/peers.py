@@ -29,6 +29,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from missionplanner.errors import MissionError
 from missionplanner.experiments import campaign, scene_runs, uav_objective
 from missionplanner.experiments.contenders import INSTALL, PEERS, Contender, Tally, find_contender, ours
+from missionplanner.experiments.document import machine
 from missionplanner.experiments.statistics import friedman, paired
 from missionplanner.files import replacing, write_atomic, write_csv
 from missionplanner.mission import load_mission
@@ -388,6 +389,8 @@ def table(results: Results) -> str:
         f"All in one run on one machine, a thread each, {limit} the same for everybody. Gap: excess over the best cost "
         "known, by any run here or before. Free: without penalty. Rank: Friedman's over all runs; p: Wilcoxon's signed "
         f"ranks of {BEST} against each, corrected by Holm. Processor time includes the function's own.",
+        "",
+        machine(),
     ]
     if results.instances:
         lines += ["", f"## UAV objective, {len(results.instances)} instances"]

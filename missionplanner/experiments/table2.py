@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 
 from missionplanner.experiments import campaign
 from missionplanner.experiments.contenders import INSTALL, Contender, find_contender, ours
+from missionplanner.experiments.document import machine
 from missionplanner.experiments.statistics import Comparison, Friedman, friedman, holm, paired, rank_sum
 from missionplanner.experiments.test_functions import FUNCTIONS, BenchmarkFunction, find_function
 from missionplanner.files import replacing, write_atomic, write_csv
@@ -311,8 +312,14 @@ def table(results: Results) -> str:
     lines = [
         f"# Table II: test functions, {results.evaluations:,} evaluations, {results.runs} runs",
         "",
+        machine(),
+        "",
         *_beside_paper(results),
         *_rank_lines(results),
+        "",
+        "![mean ranks](ranks.png)",
+        "",
+        "![median excess over evaluations](convergence.png)",
         *_every_lines(results),
     ]
     if results.absent:
