@@ -8,7 +8,7 @@ distances *between* samples rests on that.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,10 @@ FloatArray = npt.NDArray[np.float64]
 # Divisions by zero are guarded where they can occur. Integer arguments are never literals: those
 # would compile a function anew (hence 0 * n).
 kernel = njit(cache=True, error_model="numpy")
+if TYPE_CHECKING:
+    leaf = kernel
+else:  # of functions that make no array: to count who holds the arrays of a tuple takes longer than most arithmetic
+    leaf = njit(cache=True, error_model="numpy", _nrt=False)
 
 CYLINDER, CONE, RADAR, MARINE, PRISM, CABLE = range(6)
 
@@ -40,6 +44,8 @@ _MISSING_TERRAIN_M = 100.0
 """Depth below the least height where terrain is missing; outside its coverage, the way back to it is added."""
 _GOLDEN = 0.3819660112501051
 _CLEARANCE_TOLERANCE_M = 1e-4
+_ROUNDING_M = 1e-6
+"""By which squares are asked further than what is asked about reaches."""
 
 
 class TerrainArrays(NamedTuple):
@@ -51,6 +57,20 @@ class TerrainArrays(NamedTuple):
 
     height_amsl_m: npt.NDArray[np.float32]  # (R, C), NaN = void
     to_cell: FloatArray  # (2, 10)
+
+
+class ObstacleGrid(NamedTuple):
+    """Which solids to ask about a place, however many there are: the squares that the circles around them touch.
+
+    One square alone: too few solids to be worth it. Built by :func:`missionplanner.obstacles.indexed`.
+    """
+
+    west: float
+    south: float
+    cell_m: float
+    start: npt.NDArray[np.int32]  # (R, C + 1): square r, c owns solid[start[r, c]:start[r, c + 1]]
+    solid: npt.NDArray[np.int32]
+    span: npt.NDArray[np.int32]  # (O, 4): first row and column, last row and column of each solid
 
 
 class ObstacleArrays(NamedTuple):
@@ -66,6 +86,7 @@ class ObstacleArrays(NamedTuple):
     hard: npt.NDArray[np.bool_]  # (O,)
     vertices: FloatArray  # (V, 2), of all prisms
     vertex_start: npt.NDArray[np.int64]  # (O + 1,): solid i owns vertices[vertex_start[i]:vertex_start[i + 1]]
+    grid: ObstacleGrid
 
 
 class SpaceArrays(NamedTuple):
@@ -81,7 +102,7 @@ class SpaceArrays(NamedTuple):
 # --- terrain -------------------------------------------------------------------------------------------------------
 
 
-@kernel
+@leaf
 def cell_position(t: TerrainArrays, x: float, y: float) -> tuple[float, float]:
     """Return the (fractional) row and column of a place."""
     u = x * 1e-4
@@ -100,7 +121,7 @@ def cell_position(t: TerrainArrays, x: float, y: float) -> tuple[float, float]:
     return row, col
 
 
-@kernel
+@leaf
 def _keys(t: float) -> tuple[float, float, float, float]:
     """Weights of the four neighbours in cubic convolution (Keys 1981, a = -1/2)."""
     return (
@@ -111,7 +132,7 @@ def _keys(t: float) -> tuple[float, float, float, float]:
     )
 
 
-@kernel
+@leaf
 def _surface(h: npt.NDArray[np.float32], row: float, col: float) -> float:
     if not (1.0 <= row < h.shape[0] - 2 and 1.0 <= col < h.shape[1] - 2):
         return np.nan
@@ -128,7 +149,7 @@ def _surface(h: npt.NDArray[np.float32], row: float, col: float) -> float:
     return height
 
 
-@kernel
+@leaf
 def terrain_height(t: TerrainArrays, x: float, y: float) -> float:
     """Return the ground's altitude AMSL by bicubic convolution; NaN where any of the 16 neighbours is missing."""
     row, col = cell_position(t, x, y)
@@ -147,7 +168,7 @@ def terrain_heights(t: TerrainArrays, xy: FloatArray) -> FloatArray:
 # --- solids --------------------------------------------------------------------------------------------------------
 
 
-@kernel
+@leaf
 def polygon_distance(vertices: FloatArray, start: int, stop: int, x: float, y: float) -> float:
     """Return the signed distance (negative inside) to the simple polygon ``vertices[start:stop]``."""
     least = _FAR_M * _FAR_M
@@ -175,7 +196,7 @@ def polygon_distance(vertices: FloatArray, start: int, stop: int, x: float, y: f
     return -d if inside else d
 
 
-@kernel
+@leaf
 def _extruded(across: float, along: float) -> float:
     """Signed distance to a prism from those to its outline and to its slab of heights."""
     if across <= 0.0:
@@ -183,7 +204,7 @@ def _extruded(across: float, along: float) -> float:
     return math.sqrt(across * across + along * along) if along > 0.0 else across
 
 
-@kernel
+@leaf
 def _cone(rho: float, up: float, radius: float, height: float) -> float:
     """Signed distance to a cone standing on up = 0, at ``rho`` from its axis."""
     s = ((rho - radius) * -radius + up * height) / (radius * radius + height * height)
@@ -197,7 +218,7 @@ def _cone(rho: float, up: float, radius: float, height: float) -> float:
     return min(slant, math.sqrt(over * over + up * up))
 
 
-@kernel
+@leaf
 def obstacle_distance(o: ObstacleArrays, i: int, x: float, y: float, z: float) -> float:
     """Return the exact signed distance from a point to solid ``i``, negative inside; 1-Lipschitz."""
     p = o.params
@@ -240,7 +261,47 @@ def obstacle_distances(o: ObstacleArrays, points: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@leaf
+def grid_square(at: float, low: float, cell_m: float, count: int) -> int:
+    """Return the row or column of a coordinate, the nearest of those that there are."""
+    square = (at - low) / cell_m
+    last = count - 1
+    if not square > 0.0:  # NaN, too
+        square = 0.0
+    found: int = int(square) if square < last else last
+    return found
+
+
+@leaf
+def nearest_hard(o: ObstacleArrays, x: float, y: float, z: float, enough: float) -> float:
+    """Return the signed distance from a point to the nearest hard solid, ``enough`` if none is nearer than that."""
+    g = o.grid
+    rows = g.start.shape[0]
+    columns = g.start.shape[1] - 1
+    row = grid_square(y, g.south, g.cell_m, rows)
+    column = grid_square(x, g.west, g.cell_m, columns)
+    best = enough
+    for ring in range(max(rows, columns)):
+        if (ring - 1) * g.cell_m > best:
+            break
+        for r in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
+            step = 1 if abs(r - row) == ring or ring == 0 else 2 * ring  # all of the ring's ends, two of its sides
+            for c in range(column - ring, column + ring + 1, step):
+                if not 0 <= c < columns:
+                    continue
+                for n in range(g.start[r, c], g.start[r, c + 1]):
+                    i = g.solid[n]
+                    if not o.hard[i]:
+                        continue
+                    dx = x - o.bound[i, 0]
+                    dy = y - o.bound[i, 1]
+                    reach = best + o.bound[i, 2]
+                    if reach > 0.0 and dx * dx + dy * dy < reach * reach:
+                        best = min(best, obstacle_distance(o, i, x, y, z))
+    return best
+
+
+@leaf
 def inside_distance(space: SpaceArrays, x: float, y: float, z: float) -> float:
     """Return how far a point is inside area and fence (polygon and top), negative outside; 1-Lipschitz."""
     area = space.area
@@ -255,7 +316,7 @@ def inside_distance(space: SpaceArrays, x: float, y: float, z: float) -> float:
 # --- straight legs -------------------------------------------------------------------------------------------------
 
 
-@kernel
+@leaf
 def _on_leg(o: ObstacleArrays, i: int, leg: FloatArray, s: float) -> float:
     return obstacle_distance(
         o,
@@ -266,7 +327,7 @@ def _on_leg(o: ObstacleArrays, i: int, leg: FloatArray, s: float) -> float:
     )
 
 
-@kernel
+@leaf
 def _least_convex(
     o: ObstacleArrays, i: int, leg: FloatArray, length: float, enough: float, refuse: float
 ) -> tuple[float, float]:
@@ -316,7 +377,7 @@ def _least_convex(
     return min(lower, least), at
 
 
-@kernel
+@leaf
 def _least_lipschitz(
     o: ObstacleArrays, i: int, leg: FloatArray, length: float, enough: float, refuse: float
 ) -> tuple[float, float]:
@@ -338,46 +399,101 @@ def _least_lipschitz(
     return min(lower, least), at
 
 
-@kernel
-def _leg_obstacle(o: ObstacleArrays, leg: FloatArray, enough: float, refuse: float) -> tuple[float, float, int]:
-    """Lower bound of the distance to the nearest hard solid (at most ``enough``), where on the leg, and which one."""
-    ax = leg[0, 0]
-    ay = leg[0, 1]
-    ex = leg[1, 0] - ax
-    ey = leg[1, 1] - ay
-    ez = leg[1, 2] - leg[0, 2]
+@leaf
+def _leg_solid(
+    o: ObstacleArrays, i: int, leg: FloatArray, length: float, best: float, refuse: float
+) -> tuple[float, float]:
+    """Lower bound of the distance to hard solid ``i`` along a leg, and where; inf where it is ``best`` or more."""
+    ex = leg[1, 0] - leg[0, 0]
+    ey = leg[1, 1] - leg[0, 1]
     ee = ex * ex + ey * ey
-    length = math.sqrt(ee + ez * ez)
-    low = min(leg[0, 2], leg[1, 2])
-    high = max(leg[0, 2], leg[1, 2])
+    wx = o.bound[i, 0] - leg[0, 0]
+    wy = o.bound[i, 1] - leg[0, 1]
+    s = min(1.0, max(0.0, (wx * ex + wy * ey) / ee)) if ee > 0.0 else 0.0
+    wx -= s * ex
+    wy -= s * ey
+    reach = best + o.bound[i, 2]
+    if not o.hard[i] or reach < 0.0 or wx * wx + wy * wy >= reach * reach:
+        return np.inf, s
+    if min(leg[0, 2], leg[1, 2]) - o.bound[i, 4] >= best or o.bound[i, 3] - max(leg[0, 2], leg[1, 2]) >= best:
+        return np.inf, s
+    if o.kind[i] == PRISM and o.params[i, 2] == 0.0:
+        return _least_lipschitz(o, i, leg, length, best, refuse)
+    return _least_convex(o, i, leg, length, best, refuse)
+
+
+@leaf
+def _leg_columns(g: ObstacleGrid, leg: FloatArray, row: int, reach: float) -> tuple[int, int]:
+    """First and last column of a row of squares that come within ``reach`` of a leg."""
+    low = 0.0
+    high = 1.0
+    ex = leg[1, 0] - leg[0, 0]
+    ey = leg[1, 1] - leg[0, 1]
+    if ey != 0.0:
+        one = (g.south + row * g.cell_m - reach - leg[0, 1]) / ey
+        other = (g.south + (row + 1) * g.cell_m + reach - leg[0, 1]) / ey
+        low = min(1.0, max(0.0, min(one, other)))
+        high = min(1.0, max(0.0, one, other))
+    west = leg[0, 0] + min(low * ex, high * ex) - reach
+    east = leg[0, 0] + max(low * ex, high * ex) + reach
+    columns = g.start.shape[1] - 1
+    return grid_square(west, g.west, g.cell_m, columns), grid_square(east, g.west, g.cell_m, columns)
+
+
+@leaf
+def _leg_obstacle_within(o: ObstacleArrays, leg: FloatArray, enough: float, refuse: float) -> tuple[float, float, int]:
+    """:func:`_leg_obstacle` by the squares within ``enough`` of the leg."""
+    ex = leg[1, 0] - leg[0, 0]
+    ey = leg[1, 1] - leg[0, 1]
+    ez = leg[1, 2] - leg[0, 2]
+    length = math.sqrt(ex * ex + ey * ey + ez * ez)
     best = enough
     best_at = 0.0
     best_index = -1
-    for i in range(o.kind.shape[0]):
-        if not o.hard[i]:
-            continue
-        wx = o.bound[i, 0] - ax
-        wy = o.bound[i, 1] - ay
-        s = min(1.0, max(0.0, (wx * ex + wy * ey) / ee)) if ee > 0.0 else 0.0
-        wx -= s * ex
-        wy -= s * ey
-        reach = best + o.bound[i, 2]
-        if reach < 0.0 or wx * wx + wy * wy >= reach * reach:
-            continue
-        if low - o.bound[i, 4] >= best or o.bound[i, 3] - high >= best:
-            continue
-        if o.kind[i] == PRISM and o.params[i, 2] == 0.0:
-            d, at = _least_lipschitz(o, i, leg, length, best, refuse)
-        else:
-            d, at = _least_convex(o, i, leg, length, best, refuse)
-        if d < best:
-            best, best_at, best_index = d, at, i
-            if best < refuse:
-                break
+    g = o.grid
+    rows = g.start.shape[0]
+    reach = max(enough, 0.0) + _ROUNDING_M
+    first_row = grid_square(min(leg[0, 1], leg[1, 1]) - reach, g.south, g.cell_m, rows)
+    last_row = grid_square(max(leg[0, 1], leg[1, 1]) + reach, g.south, g.cell_m, rows)
+    first_before = 0 * rows
+    last_before = first_before - 1
+    for r in range(first_row, last_row + 1):
+        first, last = _leg_columns(g, leg, r, reach)
+        for c in range(first, last + 1):
+            for n in range(g.start[r, c], g.start[r, c + 1]):
+                i = g.solid[n]
+                # asked once: in its first square of the row, unless the row before had it
+                if c > max(first, g.span[i, 1]):
+                    continue
+                if r > max(first_row, g.span[i, 0]) and g.span[i, 1] <= last_before and g.span[i, 3] >= first_before:
+                    continue
+                d, at = _leg_solid(o, i, leg, length, best, refuse)
+                if d < best or (d == best and best_index > i):
+                    best, best_at, best_index = d, at, i
+                    if best < refuse:
+                        return best, best_at, best_index
+        first_before = first
+        last_before = last
     return best, best_at, best_index
 
 
-@kernel
+@leaf
+def _leg_obstacle(o: ObstacleArrays, leg: FloatArray, enough: float, refuse: float) -> tuple[float, float, int]:
+    """Lower bound of the distance to the nearest hard solid (at most ``enough``), where on the leg, and which one."""
+    g = o.grid
+    rows = g.start.shape[0]
+    columns = g.start.shape[1] - 1
+    reach = 2.0 * g.cell_m  # further only where nothing is found within it
+    widest = g.cell_m * (rows + columns) + abs(leg[0, 0] - g.west) + abs(leg[0, 1] - g.south)
+    while rows * columns > 1 and reach < min(enough, widest):
+        best, at, index = _leg_obstacle_within(o, leg, reach, refuse)
+        if index >= 0:
+            return best, at, index
+        reach *= 4.0
+    return _leg_obstacle_within(o, leg, enough, refuse)
+
+
+@leaf
 def _leg_inside(space: SpaceArrays, leg: FloatArray, enough: float, refuse: float) -> tuple[float, float]:
     """Lower bound of the distance inside area and fence along a leg (at most ``enough``), and where."""
     d0 = inside_distance(space, leg[0, 0], leg[0, 1], leg[0, 2])
@@ -448,7 +564,7 @@ def legs_clearance(space: SpaceArrays, legs: FloatArray, step_m: float) -> Float
     return table
 
 
-@kernel
+@leaf
 def leg_is_clear(
     space: SpaceArrays,
     leg: FloatArray,
@@ -519,7 +635,7 @@ class PriceSettings(NamedTuple):
     cell_m: float  # of the terrain grid
 
 
-@kernel
+@leaf
 def _shape_terms(path: FloatArray, q: PriceSettings, hop: FloatArray, out: FloatArray) -> None:
     """Length, bending, climbing and turning; ``hop`` (S - 1,) receives the lengths between samples."""
     length = 0.0
@@ -571,7 +687,7 @@ def _shape_terms(path: FloatArray, q: PriceSettings, hop: FloatArray, out: Float
     out[TURN] = turned / math.pi
 
 
-@kernel
+@leaf
 def _heights(t: TerrainArrays, q: PriceSettings, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Depth below the least height, excess over the ceilings, and how far from the nearer of both (negative: past)."""
     row, col = cell_position(t, x, y)
@@ -590,7 +706,7 @@ def _heights(t: TerrainArrays, q: PriceSettings, x: float, y: float, z: float) -
     return _MISSING_TERRAIN_M + out_m, over, -np.inf
 
 
-@kernel
+@leaf
 def _height_terms(path: FloatArray, t: TerrainArrays, q: PriceSettings, hop: FloatArray, out: FloatArray) -> None:
     """Height band, integrated; pieces near its limits are sampled twice per terrain cell.
 
@@ -628,7 +744,7 @@ def _height_terms(path: FloatArray, t: TerrainArrays, q: PriceSettings, hop: Flo
     out[CEILING] = over / scale
 
 
-@kernel
+@leaf
 def hiding_step(reach: float) -> float:
     """Return the spacing of samples between which nothing deeper than 0.1 m can hide.
 
@@ -638,7 +754,7 @@ def hiding_step(reach: float) -> float:
     return max(0.5, math.sqrt(0.8 * reach))
 
 
-@kernel
+@leaf
 def _slack(space: SpaceArrays, i: int, reach: float, step: float, x: float, y: float, z: float) -> float:
     """How far a point is beyond ``reach`` of solid ``i`` (far off: at least how far); of the fence for i = O."""
     o = space.obstacles
@@ -653,7 +769,7 @@ def _slack(space: SpaceArrays, i: int, reach: float, step: float, x: float, y: f
     return obstacle_distance(o, i, x, y, z) - reach
 
 
-@kernel
+@leaf
 def _beside_cable(o: ObstacleArrays, i: int, reach: float, a: FloatArray, b: FloatArray) -> bool:
     """Whether the piece a-b stays beyond ``reach`` of cable ``i``: closest points of two segments (Ericson 2005)."""
     p = o.params
@@ -677,7 +793,7 @@ def _beside_cable(o: ObstacleArrays, i: int, reach: float, a: FloatArray, b: Flo
     return beside
 
 
-@kernel
+@leaf
 def _depth_integral(
     path: FloatArray, hop: FloatArray, first: int, last: int, space: SpaceArrays, i: int, reach: float, step: float
 ) -> float:
@@ -727,7 +843,7 @@ def _depth_integral(
     return total
 
 
-@kernel
+@leaf
 def _box_near(box: FloatArray, x: float, y: float, near: float, lowest: float, highest: float) -> bool:
     """Whether a box (6,) comes within ``near`` of a vertical axis, between two altitudes."""
     if box[2] >= highest or box[5] <= lowest:
@@ -738,11 +854,55 @@ def _box_near(box: FloatArray, x: float, y: float, near: float, lowest: float, h
     return close
 
 
-@kernel
+@leaf
+def solids_near(o: ObstacleArrays, boxes: FloatArray, reach: float, near: npt.NDArray[np.int64]) -> int:
+    """Write which solids may come within ``reach`` of boxes (B, 6), ascending, into ``near`` (2, O); return how many.
+
+    The second row of ``near`` is scratch: all 0 before and after.
+    """
+    g = o.grid
+    count = o.kind.shape[0]
+    rows = g.start.shape[0]
+    columns = g.start.shape[1] - 1
+    if rows * columns == 1:
+        for i in range(count):
+            near[0, i] = i
+        return len(o.kind)
+    found: int = 0
+    for b in range(boxes.shape[0]):
+        west = grid_square(boxes[b, 0] - reach, g.west, g.cell_m, columns)
+        south = grid_square(boxes[b, 1] - reach, g.south, g.cell_m, rows)
+        east = grid_square(boxes[b, 3] + reach, g.west, g.cell_m, columns)
+        north = grid_square(boxes[b, 4] + reach, g.south, g.cell_m, rows)
+        for r in range(south, north + 1):
+            for n in range(g.start[r, west], g.start[r, east + 1]):
+                i = g.solid[n]
+                if near[1, i] == 0:
+                    near[1, i] = 1
+                    near[0, found] = i
+                    found += 1
+    for n in range(found):
+        near[1, near[0, n]] = 0
+        i = near[0, n]
+        k = n
+        while k > 0 and near[0, k - 1] > i:
+            near[0, k] = near[0, k - 1]
+            k -= 1
+        near[0, k] = i
+    return found
+
+
+@leaf
 def _space_terms(
-    path: FloatArray, space: SpaceArrays, q: PriceSettings, hop: FloatArray, blocks: FloatArray, out: FloatArray
+    path: FloatArray,
+    space: SpaceArrays,
+    q: PriceSettings,
+    hop: FloatArray,
+    blocks: FloatArray,
+    solids: npt.NDArray[np.int64],
+    out: FloatArray,
 ) -> None:
-    """Depth within reach of solids, of fence and area, integrated; ``blocks`` (B, 6) is scratch."""
+    """Depth within reach of solids, of fence and area, integrated; ``blocks`` (B, 6) and ``solids`` (2, O): scratch."""
     last = hop.shape[0]
     count = (last + BLOCK - 1) // BLOCK
     for b in range(count):  # a box around every few samples, and one around every few boxes: most solids are far off
@@ -764,7 +924,8 @@ def _space_terms(
     out[OCEAN] = 0.0
     out[RADAR_ZONE] = 0.0
     o = space.obstacles
-    for i in range(o.kind.shape[0]):
+    for n in range(solids_near(o, blocks[:count], max(0.0, q.obstacle_m) + _ROUNDING_M, solids)):
+        i = solids[0, n]
         hard = o.hard[i]
         radius = o.bound[i, 2]
         reach = q.obstacle_m if hard else 0.0
@@ -798,13 +959,13 @@ def _space_terms(
     out[FENCED] = depth / scale
 
 
-@kernel
+@leaf
 def _ball_depth(u: float, miss2: float, miss: float, radius: float) -> float:
     """Antiderivative over u of ``radius - sqrt(miss^2 + u^2)``."""
     return radius * u - 0.5 * (u * math.sqrt(miss2 + u * u) + (miss2 * math.asinh(u / miss) if miss > 0.0 else 0.0))
 
 
-@kernel
+@leaf
 def _passing_depth(rx: float, ry: float, rz: float, vx: float, vy: float, vz: float, radius: float) -> float:
     """Mean over s in [0, 1] of the depth ``max(0, radius - |r + s v|)``: exact, nobody slips between samples."""
     vv = vx * vx + vy * vy + vz * vz
@@ -826,45 +987,91 @@ def _passing_depth(rx: float, ry: float, rz: float, vx: float, vy: float, vz: fl
 
 
 @kernel
-def _fellow_term(path: FloatArray, fellows: FloatArray, radius: float, hop: FloatArray, length: float) -> float:
-    """Mean depth within ``radius`` of fellows (F, N, 3), who are as far along their way as this path along its own."""
+def _fellow_boxes(fellows: FloatArray) -> FloatArray:
+    """Boxes (B, F, 6) around every few instants of fellows (F, N, 3)."""
+    last = fellows.shape[1] - 1
+    boxes = np.empty(((max(last, 0) + BLOCK - 1) // BLOCK, fellows.shape[0], 6))
+    for b in range(boxes.shape[0]):
+        for f in range(boxes.shape[1]):
+            for axis in range(3):
+                low = high = fellows[f, b * BLOCK, axis]
+                for n in range(b * BLOCK + 1, min(b * BLOCK + BLOCK, last) + 1):
+                    low = min(low, fellows[f, n, axis])
+                    high = max(high, fellows[f, n, axis])
+                boxes[b, f, axis] = low
+                boxes[b, f, 3 + axis] = high
+    return boxes
+
+
+@leaf
+def _fellow_term(
+    path: FloatArray,
+    fellows: FloatArray,
+    boxes: FloatArray,
+    radius: float,
+    hop: FloatArray,
+    length: float,
+    at: FloatArray,
+    box: FloatArray,
+    near: npt.NDArray[np.int64],
+) -> float:
+    """Mean depth within ``radius`` of fellows (F, N, 3), who are as far along their way as this path along its own.
+
+    ``at`` (BLOCK + 1, 3), ``box`` (6,) and ``near`` (F,) are scratch.
+    """
     instants = fellows.shape[1]
     if fellows.shape[0] == 0 or instants < 2 or radius <= 0.0:
         return 0.0
     total: float = 0.0
-    ax = path[0, 0]
-    ay = path[0, 1]
-    az = path[0, 2]
     k = 0
     passed = 0.0
     last = hop.shape[0] - 1
-    for n in range(1, instants):
-        along = length * n / (instants - 1)
-        while k < last and passed + hop[k] < along:
-            passed += hop[k]
-            k += 1
-        s = min(1.0, (along - passed) / hop[k]) if hop[k] > 0.0 else 0.0
-        bx = path[k, 0] + s * (path[k + 1, 0] - path[k, 0])
-        by = path[k, 1] + s * (path[k + 1, 1] - path[k, 1])
-        bz = path[k, 2] + s * (path[k + 1, 2] - path[k, 2])
-        for f in range(fellows.shape[0]):
-            rx = ax - fellows[f, n - 1, 0]
-            ry = ay - fellows[f, n - 1, 1]
-            rz = az - fellows[f, n - 1, 2]
-            vx = bx - fellows[f, n, 0] - rx
-            vy = by - fellows[f, n, 1] - ry
-            vz = bz - fellows[f, n, 2] - rz
-            # |r| >= radius + |v|: too far off to come near
-            if rx * rx + ry * ry + rz * rz < 2.0 * (radius * radius + vx * vx + vy * vy + vz * vz):
-                total += _passing_depth(rx, ry, rz, vx, vy, vz, radius)
-        ax = bx
-        ay = by
-        az = bz
+    for axis in range(3):
+        at[BLOCK, axis] = path[0, axis]
+    for b in range(boxes.shape[0]):
+        first = b * BLOCK
+        count = min(BLOCK, instants - 1 - first)
+        for axis in range(3):
+            at[0, axis] = at[BLOCK, axis]
+        for n in range(1, count + 1):
+            along = length * (first + n) / (instants - 1)
+            while k < last and passed + hop[k] < along:
+                passed += hop[k]
+                k += 1
+            s = min(1.0, (along - passed) / hop[k]) if hop[k] > 0.0 else 0.0
+            for axis in range(3):
+                at[n, axis] = path[k, axis] + s * (path[k + 1, axis] - path[k, axis])
+        many = 0
+        for axis in range(3):
+            box[axis] = box[3 + axis] = at[0, axis]
+            for n in range(1, count + 1):
+                box[axis] = min(box[axis], at[n, axis])
+                box[3 + axis] = max(box[3 + axis], at[n, axis])
+        for f in range(fellows.shape[0]):  # most are far off all the while
+            apart = 0.0
+            for axis in range(3):
+                gap = max(0.0, boxes[b, f, axis] - box[3 + axis], box[axis] - boxes[b, f, 3 + axis])
+                apart += gap * gap
+            if apart <= radius * radius * (1.0 + 1e-9):
+                near[many] = f
+                many += 1
+        for n in range(1, count + 1):
+            for m in range(many):
+                f = near[m]
+                rx = at[n - 1, 0] - fellows[f, first + n - 1, 0]
+                ry = at[n - 1, 1] - fellows[f, first + n - 1, 1]
+                rz = at[n - 1, 2] - fellows[f, first + n - 1, 2]
+                vx = at[n, 0] - fellows[f, first + n, 0] - rx
+                vy = at[n, 1] - fellows[f, first + n, 1] - ry
+                vz = at[n, 2] - fellows[f, first + n, 2] - rz
+                # |r| >= radius + |v|: too far off to come near
+                if rx * rx + ry * ry + rz * rz < 2.0 * (radius * radius + vx * vx + vy * vy + vz * vz):
+                    total += _passing_depth(rx, ry, rz, vx, vy, vz, radius)
     mean: float = total / ((instants - 1) * radius)
     return mean
 
 
-@kernel
+@leaf
 def _path_distance(path: FloatArray, hop: FloatArray, x: float, y: float, z: float) -> float:
     """Least distance from a point to a path."""
     least2 = _FAR_M * _FAR_M
@@ -898,7 +1105,7 @@ def _path_distance(path: FloatArray, hop: FloatArray, x: float, y: float, z: flo
     return least
 
 
-@kernel
+@leaf
 def _inspection_term(
     path: FloatArray, tower_tops: FloatArray, tower_weights: FloatArray, tower_range_m: float, hop: FloatArray
 ) -> float:
@@ -932,6 +1139,11 @@ def price_paths(
     hop = np.empty(paths.shape[1] - 1)
     boxes = (hop.shape[0] + BLOCK - 1) // BLOCK
     blocks = np.empty((boxes + (boxes + BLOCK - 1) // BLOCK, 6))
+    solids = np.zeros((2, space.obstacles.kind.shape[0]), dtype=np.int64)
+    fellow_boxes = _fellow_boxes(fellows)
+    at = np.empty((BLOCK + 1, 3))
+    box = np.empty(6)
+    near = np.empty(fellows.shape[0], dtype=np.int64)
     for p in range(paths.shape[0]):
         path = paths[p]
         terms = out[p]
@@ -940,6 +1152,7 @@ def price_paths(
             terms[:] = np.inf
             continue
         _height_terms(path, space.terrain, q, hop, terms)
-        _space_terms(path, space, q, hop, blocks, terms)
-        terms[FELLOWS] = _fellow_term(path, fellows, q.separation_m, hop, terms[VOYAGE] * q.route_length_m)
+        _space_terms(path, space, q, hop, blocks, solids, terms)
+        length = terms[VOYAGE] * q.route_length_m
+        terms[FELLOWS] = _fellow_term(path, fellows, fellow_boxes, q.separation_m, hop, length, at, box, near)
         terms[INSPECTION] = _inspection_term(path, tower_tops, tower_weights, q.tower_range_m, hop)

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from missionplanner import kernels
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
-from missionplanner.kernels import ObstacleArrays
+from missionplanner.kernels import ObstacleArrays, ObstacleGrid
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +119,61 @@ def pack(solids: Sequence[Solid]) -> Obstacles:
         outline = np.asarray(solid.xy, dtype=np.float64) if isinstance(solid, PrismSolid) else np.zeros((0, 2))
         vertices.append(outline)
         vertex_start[i + 1] = vertex_start[i] + len(outline)
-    arrays = ObstacleArrays(kind, params, bound, hard, np.ascontiguousarray(np.concatenate(vertices)), vertex_start)
+    arrays = indexed(kind, params, bound, hard, np.concatenate(vertices), vertex_start)
     return Obstacles(tuple(solid.name for solid in solids), arrays)
+
+
+_GRID_FROM = 16
+"""Fewer solids than this are asked one by one as fast."""
+_GRID_COPIES = 8
+"""In so many squares, on average, a solid may be."""
+
+
+def indexed(
+    kind: npt.NDArray[np.int64],
+    params: FloatArray,
+    bound: FloatArray,
+    hard: npt.NDArray[np.bool_],
+    vertices: FloatArray,
+    vertex_start: npt.NDArray[np.int64],
+) -> ObstacleArrays:
+    """Return packed solids with the index by which the kernels find those that are near."""
+    return ObstacleArrays(kind, params, bound, hard, np.ascontiguousarray(vertices), vertex_start, _grid(bound))
+
+
+def _grid(bound: FloatArray) -> ObstacleGrid:
+    """Return squares of the size of a solid's share of the plane, or larger if the solids are large."""
+    count = len(bound)
+    if count < _GRID_FROM:
+        start, solid = np.array([[0, count]], dtype=np.int32), np.arange(count, dtype=np.int32)
+        return ObstacleGrid(0.0, 0.0, 1.0, start, solid, np.zeros((count, 4), dtype=np.int32))
+    low, high = bound[:, :2] - bound[:, 2:3], bound[:, :2] + bound[:, 2:3]
+    (west, south), size_m = low.min(axis=0), np.ptp(np.concatenate([low, high]), axis=0)
+    cell_m = max(math.sqrt(size_m[0] * size_m[1] / count), float(size_m.max()) / count)
+    while True:
+        columns, rows = (int(size // cell_m) + 1 for size in size_m)
+        span = np.empty((count, 4), dtype=np.int32)
+        for k, (at, origin, squares) in enumerate(
+            (
+                (low[:, 1], south, rows),
+                (low[:, 0], west, columns),
+                (high[:, 1], south, rows),
+                (high[:, 0], west, columns),
+            )
+        ):
+            span[:, k] = np.clip((at - origin) / cell_m, 0, squares - 1)  # as kernels.grid_square
+        wide = span[:, 3] - span[:, 1] + 1
+        squares_of = (span[:, 2] - span[:, 0] + 1) * wide
+        if squares_of.sum() <= _GRID_COPIES * count:
+            break
+        cell_m *= 1.25
+    solid = np.repeat(np.arange(count), squares_of)
+    place = np.arange(len(solid)) - np.repeat(np.cumsum(squares_of) - squares_of, squares_of)
+    square = (span[solid, 0] + place // wide[solid]) * columns + span[solid, 1] + place % wide[solid]
+    order = np.argsort(square, kind="stable")
+    ends = np.searchsorted(square[order], np.arange(rows * columns + 1)).astype(np.int32)
+    start = np.column_stack([ends[:-1].reshape(rows, columns), ends[columns::columns]])
+    return ObstacleGrid(float(west), float(south), cell_m, start, solid[order].astype(np.int32), span)
 
 
 def _row(solid: Solid) -> tuple[int, tuple[float, ...], tuple[float, float, float, float, float]]:
@@ -241,7 +294,7 @@ def _below_cable(name: str, start: FloatArray, end: FloatArray, radius_m: float)
 
 def join(first: ObstacleArrays, second: ObstacleArrays) -> ObstacleArrays:
     """Return the solids of both, the first's before the second's."""
-    return ObstacleArrays(
+    return indexed(
         kind=np.concatenate([first.kind, second.kind]),
         params=np.concatenate([first.params, second.params]),
         bound=np.concatenate([first.bound, second.bound]),

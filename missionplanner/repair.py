@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import nnls
 
-from missionplanner import kernels, proof
+from missionplanner import kernels, obstacles, proof
 from missionplanner.certificate import Position
 from missionplanner.clearance import tube_clearances
 from missionplanner.errors import InfeasibleError
@@ -568,9 +568,7 @@ def _alone(scene: Scene, index: int) -> kernels.ObstacleArrays:
     one = slice(index, index + 1)
     vertices = o.vertices[o.vertex_start[index] : o.vertex_start[index + 1]]
     start = np.array([0, len(vertices)], dtype=np.int64)
-    return kernels.ObstacleArrays(
-        o.kind[one], o.params[one], o.bound[one], o.hard[one], np.ascontiguousarray(vertices), start
-    )
+    return obstacles.indexed(o.kind[one], o.params[one], o.bound[one], o.hard[one], vertices, start)
 
 
 def _centre(scene: Scene, place: FloatArray, radius_m: float, sign: float) -> FloatArray:
