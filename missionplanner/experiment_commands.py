@@ -299,3 +299,44 @@ def table3(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json:
     from missionplanner.experiments import table3 as experiment
 
     run("table3", output, as_json, lambda folder, show: experiment.main(folder, seed=seed, quick=quick, progress=show))
+
+
+@app.command()
+def uav(
+    instances: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help=".npz files with H, threats, start and end; needed")
+    ] = None,
+    output: Output = None,
+    seeds: Annotated[int, typer.Option(min=1, help="runs of every method on every instance")] = 15,
+    evaluations: Annotated[str, typer.Option(metavar="N,N,...", help="of every run")] = "2500,10000,100000",
+    best: Annotated[
+        Path | None, typer.Option(metavar="FILE", help='best known values, as JSON: {"NAME": value, ...}')
+    ] = None,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    as_json: AsJson = False,
+) -> None:
+    """Search the UAV path objective as a black box, and with the planner's own first guesses."""
+    from missionplanner.experiments import uav_search as experiment
+
+    if instances is None:
+        raise MissionError("--instances: expected a folder of instances (.npz files with H, threats, start and end)")
+    searched = instances
+    try:
+        budgets = [int(number) for number in evaluations.split(",")]
+    except ValueError:
+        raise MissionError(f"--evaluations: expected whole numbers, as 2500,10000, got '{evaluations}'") from None
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(
+            folder,
+            instances=searched,
+            seeds=seeds,
+            evaluations=budgets,
+            best=best,
+            workers=workers,
+            cluster=cluster,
+            progress=show,
+        )
+
+    run("uav", output, as_json, measure)
