@@ -302,6 +302,37 @@ def table3(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json:
 
 
 @app.command()
+def lengths(
+    instances: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="also .npz files with H, threats, start and end")
+    ] = None,
+    mission: MissionFile = Path("missions/mountain.yaml"),
+    output: Output = None,
+    seeds: Annotated[int, typer.Option(min=1, help="runs of each of OMPL's planners")] = 3,
+    quick: Quick = False,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    as_json: AsJson = False,
+) -> None:
+    """Hold the shortest path where all constraints are hard beside OMPL's planners."""
+    from missionplanner.experiments import lengths as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(
+            folder,
+            mission=mission,
+            instances=instances,
+            seeds=seeds,
+            quick=quick,
+            workers=workers,
+            cluster=cluster,
+            progress=show,
+        )
+
+    run("lengths", output, as_json, measure)
+
+
+@app.command()
 def uav(
     instances: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help=".npz files with H, threats, start and end; needed")

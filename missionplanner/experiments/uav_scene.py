@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -90,11 +91,30 @@ def uav_scene(
         # margins count from the map's edge, too, where the objective has none
         np.array([0.0, 0.0, east, north]) + np.array([-1.0, -1.0, 1.0, 1.0]) * threat_margin_m,
     )
-    return UavScene(space, _limits(threat_margin_m, height_min_m, height_max_m), ends[0], ends[1], heights)
+    return UavScene(space, free_flight(threat_margin_m, height_min_m, height_max_m), ends[0], ends[1], heights)
 
 
-def _limits(threat_margin_m: float, height_min_m: float, height_max_m: float) -> VehicleLimits:
-    """Return a vehicle that may turn and climb as it likes."""
+def load_scene(
+    path: Path, *, threat_margin_m: float = 0.0, height_min_m: float = 0.0, height_max_m: float = math.inf
+) -> UavScene:
+    """Read an instance from an .npz file: H (rows of y, columns of x), threats (T, 4), start (3,), end (3,).
+
+    Raises
+    ------
+    MissionError
+        No such file, or no instance.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = [np.asarray(file[key], dtype=np.float64) for key in ("H", "threats", "start", "end")]
+    except (OSError, ValueError, KeyError, EOFError, TypeError) as error:
+        reason = " ".join(str(error).split())
+        raise MissionError(f"{path}: expected an .npz file with H, threats, start and end, got: {reason}") from error
+    return uav_scene(*arrays, threat_margin_m=threat_margin_m, height_min_m=height_min_m, height_max_m=height_max_m)
+
+
+def free_flight(obstacle_margin_m: float, height_min_m: float, height_max_m: float) -> VehicleLimits:
+    """Return the limits of a vehicle that turns and climbs as it likes and strays nowhere."""
     return VehicleLimits(
         speed_min_m_s=1.0,
         speed_max_m_s=10.0,
@@ -103,7 +123,7 @@ def _limits(threat_margin_m: float, height_min_m: float, height_max_m: float) ->
         turn_radius_m=0.0,
         turn_angle_rad=math.pi,
         terrain_margin_m=height_min_m,
-        obstacle_margin_m=threat_margin_m,
+        obstacle_margin_m=obstacle_margin_m,
         tracking_error_m=0.0,
         position_error_m=0.0,
         deviation_m=0.0,
