@@ -2,10 +2,13 @@
 
 A layered grid is laid between start and goal, along the line that joins them. Its moves keep the climb and descent
 limits, so spirals and zig-zags come out by themselves where the climb is too steep; each move is checked exactly, so
-what A* finds is clear however coarse the grid. The path is then drawn taut (legs dropped, corners pulled in and cut),
-every new leg checked the same way. Other ways around come from walls: a half-disc that closes the side on which the
-last path touched something, after which the next path must pass on another side (the partition of Yen, 1971, over
-homotopy classes, doi:10.1287/mnsc.17.11.712).
+what A* finds is clear however coarse the grid. The path is then drawn taut (:mod:`.taut`), every new leg checked the
+same way. Gaps that a grid is too coarse for, and near ties, are left to a roadmap of points around the solids
+(:mod:`.roadmap`); where all is passed sideways and neither ground nor climb holds the path, it needs no grid.
+
+Other ways around come from walls: a half-disc that closes the side on which the last path touched something, after
+which the next path must pass on another side (the partition of Yen, 1971, over homotopy classes,
+doi:10.1287/mnsc.17.11.712).
 """
 
 from __future__ import annotations
@@ -24,7 +27,8 @@ from missionplanner.clearance import STEP_M, Margins, legs_clear, legs_within_an
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
-from missionplanner.taut import INNER, OUTER, Rules, leg_length, leg_ok, pull
+from missionplanner.roadmap import shortest_way
+from missionplanner.taut import INNER, OUTER, Rules, leg_length, leg_ok, pull, tighten
 from missionplanner.vehicle import VehicleLimits
 
 _TIGHT_END_M = 1e-3  # a start or goal that lacks this little (rounding) is taken as it is
@@ -35,6 +39,8 @@ _PROBE_M = 0.01
 _SPARES_M = (0.05, 1.0)  # kept above ground beyond the margin, for what lies between samples
 _GREED = 1.2  # A* weighs what is to go this much: what it loses, drawing taut makes good
 _CUTS_MAX = 40
+_TIGHT_ROOM = 250  # points
+_HIDDEN_M = 5e-3  # shorter is no shorter, in flight
 _TAUT_TOLERANCE = 2e-5  # of the section's length: a corner is cut, a round repeated, while that saves more
 
 
@@ -286,6 +292,15 @@ class _Problem:
         low, high = self.margins.height_agl_min_m, self.margins.height_agl_max_m
         return max(0.0, float(min(heights.min() - low, high - heights.max())))
 
+    @property
+    def straight_m(self) -> float:
+        """The length of the straight line."""
+        return float(np.linalg.norm(self.goal_m - self.start_m))
+
+    def tolerance_m(self, share: float) -> float:
+        """Return what cutting a corner saves at least; on short sections points would crowd for millimetres."""
+        return max(share * self.length_m, _HIDDEN_M if share >= _TAUT_TOLERANCE else 0.1 * _HIDDEN_M)
+
     def rules(self, ground_slope: float, spare_m: float) -> Rules:
         """Return the margins for the kernels; ``spare_m`` covers what the terrain does between samples."""
         m = self.margins
@@ -490,12 +505,100 @@ def _shortcut(problem: _Problem, rules: Rules, walls: FloatArray, path: FloatArr
     return path[kept]
 
 
+def _tightened(problem: _Problem, ground_slope: float, path: FloatArray, tolerance: float) -> FloatArray:
+    """Return the path brought to its taut string, if that is shorter and passes the judge; else the path."""
+    points = np.concatenate([path, np.zeros((_TIGHT_ROOM, 3))])
+    for spare_m in _SPARES_M if len(path) > 2 else ():
+        rules = problem.rules(ground_slope, min(spare_m, problem.spare_m))
+        trial = points.copy()
+        size = tighten(problem.space, rules, _NO_WALLS, trial, len(path), problem.tolerance_m(tolerance))
+        trial = trial[:size].copy()
+        if _length_m(trial) < _length_m(path) and problem.accepts(trial):
+            return trial
+    return path
+
+
+def _length_m(path: FloatArray) -> float:
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
 def _draw_taut(problem: _Problem, rules: Rules, walls: FloatArray, raw: FloatArray) -> FloatArray | None:
     """Return the path drawn taut, or as it was where that does not pass the judge; None if neither does."""
     short = _shortcut(problem, rules, walls, raw)
     path = np.concatenate([short, np.zeros((_CUTS_MAX, 3))])
     size = pull(problem.space, rules, walls, path, len(short), _TAUT_TOLERANCE * problem.length_m)
     return next((path for path in (path[:size].copy(), short, raw) if problem.accepts(path)), None)
+
+
+# --- the roadmap ---------------------------------------------------------------------------------------------------
+
+_FINER = 4.0  # rings of a second look, where a first found no shorter way
+_GROUND_CELLS = 24  # per section length, of points above the ground
+_TIGHTEST = 2e-6  # of the section's length, as _TAUT_TOLERANCE
+_WIDEST = 2.0  # times the straight line: longer ways are left to the grids
+_UNHELD_M = 0.5  # so far from its limits of height a path is not held by them
+
+
+def _along_roadmap(
+    problem: _Problem, ground_slope: float, known: FloatArray, longest_m: float, tolerance: float, fineness: float
+) -> FloatArray | None:
+    """Return the shortest path (K, 3) along the roadmap, drawn taut; None if none is shorter than ``longest_m``."""
+    for spare_m in _SPARES_M:
+        rules = problem.rules(ground_slope, min(spare_m, problem.spare_m))
+        path = shortest_way(problem.space, rules, problem.start_m, problem.goal_m, known, longest_m, fineness=fineness)
+        if path is None:
+            return None
+        path = _tightened(problem, ground_slope, path, tolerance)
+        if problem.accepts(path):
+            return path
+    return None
+
+
+def _sideways_alone(problem: _Problem, length_m: float) -> bool:
+    """Return whether no path of this length could pass over or under any solid near."""
+    o, ends = problem.space.obstacles, np.array([problem.start_m, problem.goal_m])
+    away = np.linalg.norm(o.bound[:, np.newaxis, :2] - ends[:, :2], axis=2).sum(axis=1)
+    near = o.hard & (away - 2.0 * (o.bound[:, 2] + problem.margins.obstacle_m) < length_m)
+    # an ellipse around the ends holds all such paths; half its height is how far they may climb
+    reach_m = 0.5 * math.sqrt(max(length_m**2 - problem.straight_m**2, 0.0)) + problem.margins.obstacle_m
+    tall = (o.bound[:, 4] >= ends[:, 2].max() + reach_m) & (o.bound[:, 3] <= ends[:, 2].min() - reach_m)
+    upright = (o.kind == kernels.CYLINDER) | (o.kind == kernels.PRISM)
+    return bool((tall & upright)[near].all())
+
+
+def _held_sideways(problem: _Problem, path: FloatArray) -> bool:
+    """Return whether neither ground nor ceiling nor a limit of climb nor the fence holds a path."""
+    legs, m = polyline_legs(path), problem.margins
+    table = kernels.legs_clearance(problem.space, legs, STEP_M)
+    rise, across = legs[:, 1, 2] - legs[:, 0, 2], np.hypot(*(legs[:, 1] - legs[:, 0])[:, :2].T)
+    return bool(
+        (table[:, kernels.HEIGHT_MIN] > m.height_agl_min_m + _UNHELD_M).all()
+        and (table[:, kernels.HEIGHT_MAX] < m.height_agl_max_m - _UNHELD_M).all()
+        and path[:, 2].max() <= max(problem.start_m[2], problem.goal_m[2]) + 1e-6
+        and (table[:, kernels.FENCE] > m.fence_m + _UNHELD_M).all()
+        and (rise < 0.999 * problem.slope_up * across).all()
+        and (-rise < 0.999 * problem.slope_down * across).all()
+    )
+
+
+def _over_ground(problem: _Problem, longest_m: float) -> FloatArray:
+    """Return points (N, 3) low above the ground, and as high as the straight line, on a grid around the section."""
+    across = (problem.goal_m - problem.start_m)[:2]
+    level_m = float(np.linalg.norm(across))
+    along = across / level_m if level_m > 1e-6 else np.array([1.0, 0.0])
+    cell_m = problem.length_m / _GROUND_CELLS
+    beyond_m = 0.5 * max(longest_m - problem.straight_m, 0.0)
+    half_m = 0.5 * math.sqrt(max(longest_m**2 - problem.straight_m**2, 0.0))
+    u = np.arange(-math.floor(beyond_m / cell_m), math.floor((level_m + beyond_m) / cell_m) + 1) * cell_m
+    v = np.arange(-math.floor(half_m / cell_m), math.floor(half_m / cell_m) + 1) * cell_m
+    u, v = (grid.ravel() for grid in np.meshgrid(u, v))
+    xy = problem.start_m[:2] + u[:, np.newaxis] * along + v[:, np.newaxis] * np.array([-along[1], along[0]])
+    ground = kernels.terrain_heights(problem.space.terrain, np.ascontiguousarray(xy))
+    line = problem.start_m[2] + np.clip(u / max(level_m, 1e-6), 0.0, 1.0) * (problem.goal_m[2] - problem.start_m[2])
+    low = ground + problem.margins.height_agl_min_m + _SPARES_M[-1]
+    points = np.concatenate([np.column_stack([xy, low]), np.column_stack([xy, np.maximum(low, line)])])
+    inside: FloatArray = points[np.isfinite(points[:, 2])]
+    return inside
 
 
 # --- other ways around ---------------------------------------------------------------------------------------------
@@ -608,6 +711,7 @@ def first_guesses(
     count: int = 1,
     clearance_extra_m: float = 0.0,
     names: Sequence[str] = (),
+    thorough: bool = False,
 ) -> list[FloatArray]:
     """Return up to ``count`` taut polylines (K, 3) from start to goal on different ways around, shortest first.
 
@@ -619,6 +723,7 @@ def first_guesses(
     count : how many ways are wanted; what there is to find may be fewer.
     clearance_extra_m : kept on top of the margins, as far as both ends do and a way exists.
     names : of the obstacles, for the error message.
+    thorough : take up to a second to find shorter ways over rough ground, and draw ten times finer arcs.
 
     Raises
     ------
@@ -632,19 +737,43 @@ def first_guesses(
     straight = np.array([start, goal])
     if problem.accepts(straight):
         return [straight]
+    ground_slope = next(_grids(problem, _LEVELS[:1]))[2]
+    tolerance = _TIGHTEST if thorough else _TAUT_TOLERANCE
+    first = _shortest_sideways(problem, ground_slope, tolerance)
+    if first is not None:
+        return [way.path for way in _ways(problem, ground_slope, first, None, count, thorough)]
     for level in _LEVELS:
         first = _find(problem, _NO_WALLS, (level,))
         if first is not None:
-            return [way.path for way in _ways(problem, first, level, count)]
+            return [way.path for way in _ways(problem, ground_slope, first, level, count, thorough)]
     if clearance_extra_m > 0.0:
-        return first_guesses(space, limits, start, goal, count=count, names=names)
+        return first_guesses(space, limits, start, goal, count=count, names=names, thorough=thorough)
     raise InfeasibleError(_what_blocks(problem, names))
 
 
-def _ways(problem: _Problem, first: FloatArray, level: _Level, count: int) -> list[_Way]:
-    """Return up to ``count`` different ways, shortest first, the first of them given."""
-    found = [_way(problem, first, _NO_WALLS)]
-    if count == 1 and found[0].length_m < _SHORT_ENOUGH * problem.least_m:
+def _shortest_sideways(problem: _Problem, ground_slope: float, tolerance: float) -> FloatArray | None:
+    """Return the shortest path where it passes everything sideways and nothing else holds it, else None."""
+    longest_m = _WIDEST * problem.straight_m
+    if not _sideways_alone(problem, problem.straight_m):
+        return None
+    best: FloatArray | None = None
+    for fineness in (1.0, _FINER):
+        path = _along_roadmap(problem, ground_slope, np.empty((0, 3)), longest_m, tolerance, fineness)
+        if path is not None:
+            best, longest_m = path, _length_m(path)
+        if best is None or not (_held_sideways(problem, best) and _sideways_alone(problem, longest_m)):
+            return None
+    return best
+
+
+def _ways(
+    problem: _Problem, ground_slope: float, first: FloatArray, level: _Level | None, count: int, thorough: bool
+) -> list[_Way]:
+    """Return up to ``count`` different ways, shortest first, the first of them given; no level: it is the shortest."""
+    tolerance = _TIGHTEST if thorough else _TAUT_TOLERANCE
+    found = [_way(problem, _tightened(problem, ground_slope, first, tolerance), _NO_WALLS)]
+    short = level is None or (not thorough and found[0].length_m < _SHORT_ENOUGH * problem.least_m)
+    if count == 1 and short:
         return found
     longest_m = _LONGEST * found[0].length_m
 
@@ -652,6 +781,9 @@ def _ways(problem: _Problem, first: FloatArray, level: _Level, count: int) -> li
         path = _find(problem, walls, (level,), longest_m)
         if path is None:
             return None
+        tight = _tightened(problem, ground_slope, path, tolerance)
+        if not len(walls) or (_sides(problem, tight) == _sides(problem, path)).all():
+            path = tight
         way = _way(problem, path, walls)
         for n, known in enumerate(found):
             if not _differ(problem, way, known):
@@ -660,9 +792,10 @@ def _ways(problem: _Problem, first: FloatArray, level: _Level, count: int) -> li
         found.append(way)
         return way
 
-    # A grid measures lengths 2 to 3 % wrong and may take the wrong way for the shortest; others err otherwise.
-    for other in (_Level(3 * level.cells // 4, level.reach), _Level(3 * level.cells // 2, level.reach)):
-        look(_NO_WALLS, other)
+    if level is not None:
+        # A grid measures lengths 2 to 3 % wrong and may take the wrong way for the shortest; others err otherwise.
+        for other in (_Level(3 * level.cells // 4, level.reach), _Level(3 * level.cells // 2, level.reach)):
+            look(_NO_WALLS, other)
     unopened = found.copy()
     searches = count + 2
     while unopened and searches > 0 and len(found) < max(count, 2):
@@ -670,10 +803,27 @@ def _ways(problem: _Problem, first: FloatArray, level: _Level, count: int) -> li
         unopened.remove(way)
         for wall in _walls_at(problem, way.path)[:searches]:
             searches -= 1
-            another = look(np.concatenate([way.walls, wall[None]]), level)
+            another = look(np.concatenate([way.walls, wall[None]]), level or _LEVELS[0])
             if another is not None:
                 unopened.append(another)
+    if level is not None:
+        _change_over(problem, ground_slope, found, thorough)
     return sorted(found, key=lambda w: w.length_m)[:count]
+
+
+def _change_over(problem: _Problem, ground_slope: float, found: list[_Way], thorough: bool) -> None:
+    """Add to the ways one that the roadmap knows to be shorter, from one way to another or where no grid sees."""
+    known = [way.path[1:-1] for way in found]
+    best = min(found, key=lambda w: w.length_m)
+    if thorough:
+        known.append(_over_ground(problem, best.length_m))
+    for fineness in (1.0, _FINER) if thorough else (1.0,):
+        tolerance = _TIGHTEST if thorough else _TAUT_TOLERANCE
+        path = _along_roadmap(problem, ground_slope, np.concatenate(known), best.length_m, tolerance, fineness)
+        if path is None or _length_m(path) >= best.length_m:
+            continue
+        best = _way(problem, path, _NO_WALLS)
+        found[:] = [*(way for way in found if _differ(problem, way, best)), best]
 
 
 def _end_margins(

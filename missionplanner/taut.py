@@ -219,3 +219,419 @@ def pull(space: SpaceArrays, rules: Rules, walls: FloatArray, p: FloatArray, siz
         if cuts > _CUT_ROUNDS:
             break
     return size
+
+
+# --- the barrier method --------------------------------------------------------------------------------------------
+
+_WEIGHTS = (1e-5, 1e-6, 1e-7)
+"""Of the barrier, as shares of the path's length: a path ends about so much longer per contact than the shortest."""
+_NEWTON_STEPS = 20
+_SETTLED = 3e-7  # of the path's length: steps that promise less change nothing
+_ARMIJO = 0.05
+_REACH = 1000.0  # barriers begin this many weights from the margin ...
+_REACH_MIN_M, _REACH_MAX_M = 0.5, 20.0  # ... within these
+_SLOPE_REACH = 0.03  # rad: barriers of the climb limits
+_SHIFT_M = 1e-4  # barriers end this much below the margin, for paths that touch it; steps are judged by the margin
+_HOLD = 0.004  # keeps points from sliding off along straight ways, where nothing else holds them
+_BACKTRACKS = 12
+_GOLDEN = 0.3819660112501051
+_GOLDEN_STEPS = 26
+_PLACES = 8
+_SLOPE_M = 1e-3  # step of numerical gradients
+_CUT_FIRST, _CUT_NEXT, _CUT_TRIALS = 0.3, 0.7, 9
+_BAND = 6
+
+
+class _Sum(NamedTuple):
+    """Derivatives of a leg's terms by both its ends: what :func:`_barrier` adds to."""
+
+    gradient: FloatArray  # (6,)
+    hessian: FloatArray  # (6, 6)
+    normal: FloatArray  # (3,) scratch
+
+
+@njit(**INNER)
+def _barrier(room_m: float, reach_m: float, s: float, add: _Sum, derive: bool) -> float:
+    """Return the barrier of a distance beyond its margin, 0 from ``reach_m`` on; inf below the margin.
+
+    ``add.normal`` is the gradient of the distance by the place ``s`` along the leg, or by its direction for s = -1.
+    """
+    if not room_m >= 0.0:
+        return np.inf
+    if room_m >= reach_m:
+        return 0.0
+    near = (room_m + _SHIFT_M) / (reach_m + _SHIFT_M)
+    if derive:
+        slope = (1.0 - 1.0 / near) / (reach_m + _SHIFT_M)
+        bend = 1.0 / (room_m + _SHIFT_M) ** 2
+        for i in range(6):
+            vi = add.normal[i % 3] * ((s if i >= 3 else 1.0 - s) if s >= 0.0 else (1.0 if i >= 3 else -1.0))
+            add.gradient[i] += slope * vi
+            for j in range(6):
+                vj = add.normal[j % 3] * ((s if j >= 3 else 1.0 - s) if s >= 0.0 else (1.0 if j >= 3 else -1.0))
+                add.hessian[i, j] += bend * vi * vj
+    return near - 1.0 - math.log(near)
+
+
+@njit(**INNER)
+def _room(space: SpaceArrays, rules: Rules, i: int, x: float, y: float, z: float) -> float:
+    """Return how far a place is beyond the margin of solid ``i``; for i = -1, of fence and area."""
+    if i < 0:
+        inside: float = kernels.inside_distance(space, x, y, z) - rules.fence_m
+        return inside
+    away: float = kernels.obstacle_distance(space.obstacles, i, x, y, z) - rules.obstacle_m
+    return away
+
+
+@njit(**INNER)
+def _nearest(space: SpaceArrays, rules: Rules, i: int, a: FloatArray, b: FloatArray) -> float:
+    """Return where along a-b solid ``i`` (-1: fence and area) is nearest; exact for upright cylinders."""
+    o = space.obstacles
+    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    if i >= 0 and o.kind[i] == kernels.CYLINDER and max(a[2], b[2]) <= o.params[i, 3]:
+        square = ex * ex + ey * ey
+        along = (o.params[i, 0] - a[0]) * ex + (o.params[i, 1] - a[1]) * ey
+        return min(1.0, max(0.0, along / square)) if square > 0.0 else 0.0
+    best, at = np.inf, 0.0
+    for k in range(_PLACES + 1):
+        s = k / _PLACES
+        d = _room(space, rules, i, a[0] + s * ex, a[1] + s * ey, a[2] + s * ez)
+        if d < best:
+            best, at = d, s
+    low, high = max(0.0, at - 1.0 / _PLACES), min(1.0, at + 1.0 / _PLACES)
+    left, right = low + _GOLDEN * (high - low), high - _GOLDEN * (high - low)
+    d_left = _room(space, rules, i, a[0] + left * ex, a[1] + left * ey, a[2] + left * ez)
+    d_right = _room(space, rules, i, a[0] + right * ex, a[1] + right * ey, a[2] + right * ez)
+    for _ in range(_GOLDEN_STEPS):
+        if d_left <= d_right:
+            high, right, d_right = right, left, d_left
+            left = low + _GOLDEN * (high - low)
+            d_left = _room(space, rules, i, a[0] + left * ex, a[1] + left * ey, a[2] + left * ez)
+        else:
+            low, left, d_left = left, right, d_right
+            right = high - _GOLDEN * (high - low)
+            d_right = _room(space, rules, i, a[0] + right * ex, a[1] + right * ey, a[2] + right * ez)
+    s = 0.5 * (low + high)
+    return at if best <= min(d_left, d_right) else s
+
+
+@njit(**INNER)
+def _solid_barrier(
+    space: SpaceArrays, rules: Rules, i: int, a: FloatArray, b: FloatArray, reach_m: float, add: _Sum, derive: bool
+) -> float:
+    """Return the barrier of a leg beside solid ``i`` (-1: fence and area)."""
+    s = _nearest(space, rules, i, a, b)
+    x, y, z = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
+    room = _room(space, rules, i, x, y, z)
+    if derive and 0.0 <= room < reach_m:
+        h = _SLOPE_M
+        two = 2.0 * h
+        add.normal[0] = (_room(space, rules, i, x + h, y, z) - _room(space, rules, i, x - h, y, z)) / two
+        add.normal[1] = (_room(space, rules, i, x, y + h, z) - _room(space, rules, i, x, y - h, z)) / two
+        add.normal[2] = (_room(space, rules, i, x, y, z + h) - _room(space, rules, i, x, y, z - h)) / two
+    barrier: float = _barrier(room, reach_m, s, add, derive)
+    return barrier
+
+
+@njit(**INNER)
+def _height_barrier(
+    space: SpaceArrays,
+    rules: Rules,
+    a: FloatArray,
+    b: FloatArray,
+    sign: float,
+    reach_m: float,
+    add: _Sum,
+    derive: bool,
+) -> float:
+    """Return the barriers of a leg near its least (sign 1) or greatest (-1) height, one at each local least of room."""
+    margin = rules.height_min_m if sign > 0.0 else -rules.height_max_m
+    if not math.isfinite(margin):
+        return 0.0
+    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    length = math.sqrt(ex * ex + ey * ey)
+    closing = rules.ground_slope + (abs(ez) / length if length > 0.0 else 0.0)
+    total = 0.0
+    s, before, at = 0.0, np.inf, np.inf  # rooms of the last two samples; the later one at ``here``
+    here = 0.0
+    while True:
+        f = s / length if length > 0.0 else 1.0
+        ground = kernels.terrain_height(space.terrain, a[0] + f * ex, a[1] + f * ey)
+        room = sign * (a[2] + f * ez - ground) - margin
+        if not room >= 0.0:
+            return np.inf
+        last = s >= length
+        for end in range(2 if last else 1):
+            # the sample before, once it is known to be the least of its neighbourhood; the last one has no next
+            least, place = (at, here) if end == 0 else (room, f)
+            lowest = least <= before and least < room if end == 0 else least <= at
+            if lowest and least < reach_m:
+                if derive:
+                    x, y = a[0] + place * ex, a[1] + place * ey
+                    h = 0.05
+                    t = space.terrain
+                    east = kernels.terrain_height(t, x + h, y) - kernels.terrain_height(t, x - h, y)
+                    north = kernels.terrain_height(t, x, y + h) - kernels.terrain_height(t, x, y - h)
+                    add.normal[0] = -sign * east / (2.0 * h)
+                    add.normal[1] = -sign * north / (2.0 * h)
+                    add.normal[2] = sign
+                    if not math.isfinite(east + north):
+                        return np.inf
+                total += _barrier(least, reach_m, place, add, derive)
+        if last:
+            return total
+        before, at, here = at, room, f
+        stride = STEP_M if room - reach_m <= STEP_M * closing else (room - reach_m) / closing if closing > 0 else length
+        s = min(length, s + stride)
+
+
+@njit(**INNER)
+def _leg_barrier(
+    space: SpaceArrays, rules: Rules, a: FloatArray, b: FloatArray, reach_m: float, add: _Sum, derive: bool
+) -> float:
+    """Return all barriers of the leg a-b; inf if it breaks a rule."""
+    ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    across = math.sqrt(ex * ex + ey * ey)
+    length = math.sqrt(across * across + ez * ez)
+    total: float = 0.0
+    for up in range(2):
+        slope, rise = (rules.slope_up, ez) if up == 0 else (rules.slope_down, -ez)
+        norm = math.sqrt(1.0 + slope * slope)
+        if derive and across > 0.0:
+            add.normal[0] = slope * ex / (across * norm)
+            add.normal[1] = slope * ey / (across * norm)
+            add.normal[2] = (-1.0 if up == 0 else 1.0) / norm
+        total += _barrier((slope * across - rise) / norm, _SLOPE_REACH * length, -1.0, add, derive)
+    add.normal[0] = add.normal[1] = 0.0
+    add.normal[2] = -1.0
+    total += _barrier(rules.alt_max_m - b[2], reach_m, 1.0, add, derive)
+    if not total < np.inf:
+        return np.inf
+    total += _height_barrier(space, rules, a, b, 1.0, reach_m, add, derive)
+    total += _height_barrier(space, rules, a, b, -1.0, reach_m, add, derive)
+    if not total < np.inf:
+        return np.inf
+    here = kernels.inside_distance(space, a[0], a[1], a[2]) - rules.fence_m
+    if here - reach_m < length:
+        total += _solid_barrier(space, rules, -1, a, b, reach_m, add, derive)
+    o = space.obstacles
+    low, high = min(a[2], b[2]), max(a[2], b[2])
+    near = rules.obstacle_m + reach_m
+    for i in range(o.kind.shape[0]):
+        if not o.hard[i] or low - o.bound[i, 4] >= near or o.bound[i, 3] - high >= near:
+            continue
+        wx, wy = o.bound[i, 0] - a[0], o.bound[i, 1] - a[1]
+        s = min(1.0, max(0.0, (wx * ex + wy * ey) / (across * across))) if across > 0.0 else 0.0
+        wx -= s * ex
+        wy -= s * ey
+        if wx * wx + wy * wy < (near + o.bound[i, 2]) ** 2:
+            total += _solid_barrier(space, rules, i, a, b, reach_m, add, derive)
+    return total
+
+
+@njit(**INNER)
+def _merit(
+    space: SpaceArrays, rules: Rules, p: FloatArray, size: int, weight: float, reach_m: float, add: _Sum
+) -> float:
+    """Return the length of a path with its barriers; inf if it breaks a rule."""
+    total = 0.0
+    for n in range(size - 1):
+        total += _distance(p, n, n + 1) + weight * _leg_barrier(space, rules, p[n], p[n + 1], reach_m, add, False)
+        if not total < np.inf:
+            break
+    return total
+
+
+@njit(**INNER)
+def _derive(
+    space: SpaceArrays,
+    rules: Rules,
+    p: FloatArray,
+    size: int,
+    weight: float,
+    reach_m: float,
+    add: _Sum,
+    gradient: FloatArray,
+    band: FloatArray,
+) -> float:
+    """Return the merit; write its gradient (3 (size - 2),) and the lower band of its Hessian (6, 3 (size - 2))."""
+    count = 3 * (size - 2)
+    gradient[:count] = 0.0
+    band[:, :count] = 0.0
+    total = 0.0
+    t = np.empty(3)
+    for n in range(size - 1):
+        add.gradient[:] = 0.0
+        add.hessian[:] = 0.0
+        length = max(_distance(p, n, n + 1), 1e-9)
+        total += length + weight * _leg_barrier(space, rules, p[n], p[n + 1], reach_m, add, True)
+        for k in range(3):
+            t[k] = (p[n + 1, k] - p[n, k]) / length
+        for i in range(6):
+            row = 3 * (n - 1) + i
+            if row < 0 or row >= count:
+                continue
+            gradient[row] += weight * add.gradient[i] + (t[i % 3] if i >= 3 else -t[i % 3])
+            for j in range(i + 1):
+                col = 3 * (n - 1) + j
+                if col < 0:
+                    continue
+                across = (1.0 if i % 3 == j % 3 else 0.0) - t[i % 3] * t[j % 3]
+                same = (i >= 3) == (j >= 3)
+                band[row - col, col] += weight * add.hessian[i, j] + (across if same else -across) / length
+                if i == j:
+                    band[0, col] += _HOLD / length
+    return total
+
+
+@njit(**INNER)
+def _solve(band: FloatArray, count: int, x: FloatArray) -> bool:
+    """Solve in place a symmetric positive definite system of which ``band`` is the lower band; False if it is not."""
+    for j in range(count):
+        pivot = band[0, j]
+        if not pivot > 0.0:
+            return False
+        pivot = math.sqrt(pivot)
+        last = min(_BAND, count - j)
+        for k in range(last):
+            band[k, j] /= pivot
+        for k in range(1, last):
+            for m in range(k, last):
+                band[m - k, j + k] -= band[m, j] * band[k, j]
+    for j in range(count):
+        x[j] /= band[0, j]
+        for k in range(1, min(_BAND, count - j)):
+            x[j + k] -= band[k, j] * x[j]
+    for j in range(count - 1, -1, -1):
+        for k in range(1, min(_BAND, count - j)):
+            x[j] -= band[k, j] * x[j + k]
+        x[j] /= band[0, j]
+    return True
+
+
+@njit(**INNER)
+def _legs_ok(space: SpaceArrays, rules: Rules, walls: FloatArray, p: FloatArray, size: int) -> bool:
+    ok = True
+    for n in range(size - 1):
+        ok = ok and leg_ok(space, rules, walls, p[n : n + 2], False)
+    return ok
+
+
+@njit(**INNER)
+def _descend(
+    space: SpaceArrays,
+    rules: Rules,
+    walls: FloatArray,
+    p: FloatArray,
+    size: int,
+    weight: float,
+    settled_m: float,
+    add: _Sum,
+    gradient: FloatArray,
+    band: FloatArray,
+    trial: FloatArray,
+) -> None:
+    """Move the path's inner points by Newton steps to the least length with barriers of this weight."""
+    reach_m = min(max(_REACH * weight, _REACH_MIN_M), _REACH_MAX_M)
+    count = 3 * (size - 2)
+    step = np.empty(count)
+    for _ in range(_NEWTON_STEPS):
+        merit = _derive(space, rules, p, size, weight, reach_m, add, gradient, band)
+        for k in range(count):
+            step[k] = -gradient[k]
+        if not merit < np.inf or not _solve(band, count, step):
+            return
+        promised = 0.0
+        for k in range(count):
+            promised -= gradient[k] * step[k]
+        if promised < settled_m:
+            return
+        share = 1.0
+        for _ in range(_BACKTRACKS):
+            trial[0] = p[0]
+            trial[size - 1] = p[size - 1]
+            for k in range(count):
+                trial[1 + k // 3, k % 3] = p[1 + k // 3, k % 3] + share * step[k]
+            now = _merit(space, rules, trial, size, weight, reach_m, add)
+            if now <= merit - _ARMIJO * share * promised and _legs_ok(space, rules, walls, trial, size):
+                break
+            share *= 0.5
+        else:
+            return
+        p[:size] = trial[:size]
+
+
+@njit(**INNER)
+def _cut_corners(
+    space: SpaceArrays, rules: Rules, walls: FloatArray, p: FloatArray, size: int, tolerance_m: float
+) -> int:
+    """Cut every corner where that saves the tolerance and there is room in ``p``; return the path's new size."""
+    leg = np.empty((2, 3))
+    b = 1
+    while b < size - 1 and size < p.shape[0]:
+        ab, bc = _distance(p, b - 1, b), _distance(p, b, b + 1)
+        share = _CUT_FIRST
+        for _ in range(_CUT_TRIALS):
+            cut_m = share * min(ab, bc)
+            for k in range(3):
+                leg[0, k] = p[b, k] + (p[b - 1, k] - p[b, k]) * cut_m / ab
+                leg[1, k] = p[b, k] + (p[b + 1, k] - p[b, k]) * cut_m / bc
+            if 2.0 * cut_m - leg_length(leg) < tolerance_m:
+                break
+            if leg_ok(space, rules, walls, leg, False):
+                for n in range(size, b, -1):
+                    p[n] = p[n - 1]
+                p[b] = leg[0]
+                p[b + 1] = leg[1]
+                size += 1
+                b += 1
+                break
+            share *= _CUT_NEXT
+        b += 1
+    return size
+
+
+@njit(**INNER)
+def _drop_points(space: SpaceArrays, rules: Rules, walls: FloatArray, p: FloatArray, size: int) -> int:
+    """Drop every point that a clear leg can skip; return the path's new size."""
+    leg = np.empty((2, 3))
+    b = 1
+    while b < size - 1:
+        leg[0] = p[b - 1]
+        leg[1] = p[b + 1]
+        if leg_ok(space, rules, walls, leg, False):
+            for n in range(b, size - 1):
+                p[n] = p[n + 1]
+            size -= 1
+        else:
+            b += 1
+    return size
+
+
+@njit(**OUTER)
+def tighten(
+    space: SpaceArrays,
+    rules: Rules,
+    walls: FloatArray,
+    p: FloatArray,
+    size: int,
+    tolerance_m: float,
+) -> int:
+    """Bring the clear path ``p[:size]`` in place to its taut string, rounded until a cut saves less than the tolerance.
+
+    Every leg stays judged by the rules. Rows beyond ``size`` are room for points. Returns the new size.
+    """
+    rows = 3 * p.shape[0]
+    length_m = 0.0
+    for n in range(size - 1):
+        length_m += _distance(p, n, n + 1)
+    add = _Sum(np.empty(6), np.empty((6, 6)), np.empty(3))
+    gradient, band, trial = np.empty(rows), np.empty((_BAND, rows)), np.empty_like(p)
+    for n in range(len(_WEIGHTS)):
+        weight = _WEIGHTS[n] * length_m
+        size = _drop_points(space, rules, walls, p, size)
+        size = _cut_corners(space, rules, walls, p, size, tolerance_m)
+        if size > 2:
+            _descend(space, rules, walls, p, size, weight, _SETTLED * length_m, add, gradient, band, trial)
+    final: int = _drop_points(space, rules, walls, p, size)
+    return final
