@@ -59,6 +59,14 @@ def run(
     return figures
 
 
+def whole_numbers(evaluations: str) -> list[int]:
+    """Read ``--evaluations N,N,...``."""
+    try:
+        return [int(number) for number in evaluations.split(",")]
+    except ValueError:
+        raise MissionError(f"--evaluations: expected whole numbers, as 2500,10000, got '{evaluations}'") from None
+
+
 @app.command()
 def proof(
     output: Output = None,
@@ -259,9 +267,7 @@ def peers(
         list[Path] | None,
         typer.Option(metavar="FILE", help="mission whose first vehicle is searched; default: missions/mountain.yaml"),
     ] = None,
-    evaluations: Annotated[
-        list[int] | None, typer.Option(min=1, help="budgets on the UAV objective; default: 10000 and 100000")
-    ] = None,
+    evaluations: Annotated[str, typer.Option(metavar="N,N,...", help="on the UAV objective")] = "10000,100000",
     seeds: Annotated[int, typer.Option(min=1, help="of every search")] = 15,
     seconds: Annotated[float | None, typer.Option(min=0.01, help="the same wall time for all instead")] = None,
     slow_peers: Annotated[
@@ -280,7 +286,7 @@ def peers(
             folder,
             instances=instances,
             scenes=[Path("missions/mountain.yaml")] if scene is None else scene,
-            budgets=evaluations or experiment.BUDGETS,
+            budgets=whole_numbers(evaluations),
             seeds=seeds,
             seconds=seconds,
             slow_peers=slow_peers,
@@ -353,10 +359,7 @@ def uav(
     if instances is None:
         raise MissionError("--instances: expected a folder of instances (.npz files with H, threats, start and end)")
     searched = instances
-    try:
-        budgets = [int(number) for number in evaluations.split(",")]
-    except ValueError:
-        raise MissionError(f"--evaluations: expected whole numbers, as 2500,10000, got '{evaluations}'") from None
+    budgets = whole_numbers(evaluations)
 
     def measure(folder: Path, show: Show) -> dict[str, Any]:
         return experiment.main(

@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from missionplanner.errors import MissionError
-from missionplanner.experiments import campaign, scene_runs, uav_objective
+from missionplanner.experiments import campaign, scene_runs, uav_objective, uav_search
 from missionplanner.experiments.contenders import INSTALL, PEERS, Contender, Tally, find_contender, ours
 from missionplanner.experiments.document import machine
 from missionplanner.experiments.statistics import friedman, paired
@@ -44,13 +44,11 @@ SCENE_BUDGET = 10_000
 BEST, PAPER_FORM = "pso-abc-sa", "pso-abc-sa-paper"
 OURS = (BEST, PAPER_FORM)
 
-KNOWN = {"inst01": 5982.0, "inst04": 5688.0, "inst08": 7420.0, "inst12": 5664.0, "inst28": 7702.0, "inst40": 8090.0}
-"""Best costs known before; a better one found in a run takes their place there."""
-
 _SLOW_FROM = 10_001  # evaluations that slow libraries do only when asked to
 _CALIBRATION = 2000  # evaluations by which the schedules of timed runs are set
 _WARM = 200
 _GRID = 60
+_LEAST_PERCENT = 0.1  # that a figure shows
 _QUICK = (1000,), 2
 
 
@@ -92,6 +90,7 @@ class Results:
     contenders: tuple[Contender, ...]
     absent: tuple[Contender, ...]
     seconds: float | None
+    known: Mapping[str, float]  # best costs of problems, from before
     runs: Mapping[tuple[str, str, int], tuple[Run, ...]]
 
     @property
@@ -102,7 +101,7 @@ class Results:
     def best(self, problem: str) -> float:
         """Return the least cost known of a problem: before, or by any run here."""
         found = min(run.cost for (name, _, _), runs in self.runs.items() if name == problem for run in runs)
-        return min(found, KNOWN.get(problem, np.inf))
+        return min(found, self.known.get(problem, np.inf))
 
     def who(self, problems: Sequence[str], budget: int) -> list[Contender]:
         """Return who ran all of some problems with a budget."""
@@ -186,6 +185,8 @@ def run(
     if not found and not scenes:
         raise MissionError("peers: expected something to search: name --instances FOLDER, or a --scene")
     sources = {path.stem: _instance(path) for path in found} | {path.stem: _scene(path) for path in scenes}
+    digests = {path.stem: uav_search.digest(uav_objective.load(path)) for path in found}
+    known = {name: uav_search.BEST_KNOWN.get(digest, np.inf) for name, digest in digests.items()}
     present = [c for c in contenders if c.installed]
     jobs: dict[tuple[str, str, int, int], campaign.Job] = {}
     for name, source in sources.items():
@@ -220,6 +221,7 @@ def run(
         tuple(present),
         tuple(c for c in contenders if not c.installed),
         seconds,
+        known,
         runs,
     )
 
@@ -324,12 +326,34 @@ def summary(results: Results, problems: Sequence[str], budget: int) -> list[dict
     return sorted(rows, key=lambda row: row["gap_median_percent"])
 
 
+def verdict(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Return how the best form stands against all others of a table: lower in the median gap, more often free."""
+    own = next((row for row in rows if row["contender"] == BEST), None)
+    others = [row for row in rows if row["contender"] not in OURS]
+    if own is None or not others:
+        return None
+    nearest, freest = min(others, key=lambda row: row["gap_median_percent"]), max(others, key=lambda row: row["free"])
+    return {
+        "lowest_gap": own["gap_median_percent"] < nearest["gap_median_percent"],
+        "nearest": nearest["contender"],
+        "most_free": own["free"] > freest["free"],
+        "freest": freest["contender"],
+        "words": f"{BEST}: median gap {own['gap_median_percent']:.2f} %; the lowest of the others, {nearest['contender']}: "
+        f"{nearest['gap_median_percent']:.2f} %. Free: {100.0 * own['free']:.0f} %; the most often of the others, "
+        f"{freest['contender']}: {100.0 * freest['free']:.0f} %.",
+    }
+
+
 def as_json(results: Results) -> dict[str, Any]:
     """Return plain JSON values."""
     return {
         "seconds": results.seconds,
         "absent": [c.name for c in results.absent],
-        "uav": [{"budget": b, "rows": summary(results, results.instances, b)} for b in results.budgets],
+        "uav": [
+            {"budget": b, "rows": rows, "verdict": verdict(rows)}
+            for b in results.budgets
+            for rows in [summary(results, results.instances, b)]
+        ],
         "instances": _per_problem(results, results.instances, results.budgets),
         "scenes": _per_problem(results, results.scenes, [0 if results.seconds is not None else SCENE_BUDGET]),
         "scene_rows": {
@@ -477,7 +501,7 @@ def _drawn(results: Results) -> Figure:
         axes.set_title(title, fontsize=9)
     for axes in every[len(panels) :]:
         axes.set_axis_off()
-    figure.supylabel("median gap, %", fontsize=8)
+    figure.supylabel(f"median gap, % (down to {_LEAST_PERCENT:g})", fontsize=8)
     figure.supxlabel("evaluations" if results.seconds is None else "seconds", fontsize=8)
     return figure
 
@@ -505,7 +529,7 @@ def _panel(axes: Axes, results: Results, problems: Sequence[str], budget: int) -
         known = name in colours
         axes.loglog(
             grid[seen],
-            np.maximum(middle[seen], 1e-3),
+            np.maximum(middle[seen], _LEAST_PERCENT),
             color=colours.get(name, "#c8ced3"),
             linewidth=2.2 if name == BEST else 1.2 if known else 0.7,
             zorder=3 if name == BEST else 2 if known else 1,

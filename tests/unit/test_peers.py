@@ -145,13 +145,13 @@ def instance(folder: Path) -> None:
     )
 
 
-def made(costs: dict[str, list[float]], free: bool = True) -> Results:
+def made(costs: dict[str, list[float]], free: bool = True, known: float = np.inf) -> Results:
     """Return results of one instance by given costs of contenders."""
     runs = {
         ("inst", name, 100): tuple(Run(c, free, 100, 0.5, ((1, 0.01, 2 * c), (50, 0.02, c))) for c in values)
         for name, values in costs.items()
     }
-    return Results((), ("inst",), tuple(find_contender(name) for name in costs), (), None, runs)
+    return Results((), ("inst",), tuple(find_contender(name) for name in costs), (), None, {"inst": known}, runs)
 
 
 def test_gaps_are_over_the_best_of_all_runs() -> None:
@@ -166,10 +166,18 @@ def test_gaps_are_over_the_best_of_all_runs() -> None:
     assert peers.as_json(results)["instances"][0]["best_peer"] == "scipy DE"
 
 
-def test_what_was_known_before_counts_as_best(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(peers.KNOWN, "inst", 50.0)
-    row = peers.summary(made({"pso-abc-sa": [100.0, 100.0]}), ["inst"], 100)[0]
+def test_what_was_known_before_counts_as_best() -> None:
+    row = peers.summary(made({"pso-abc-sa": [100.0, 100.0]}, known=50.0), ["inst"], 100)[0]
     assert row["gap_median_percent"] == pytest.approx(100.0)
+
+
+def test_the_verdict_is_against_every_other() -> None:
+    costs = {"pso-abc-sa": [110.0, 110.0], "pso-abc-sa-paper": [100.0, 100.0], "scipy DE": [112.0, 112.0]}
+    found = peers.verdict(peers.summary(made(costs), ["inst"], 100))
+    assert found is not None
+    assert (found["lowest_gap"], found["most_free"], found["nearest"]) == (True, False, "scipy DE")
+    assert "median gap 10.00 %; the lowest of the others, scipy DE: 12.00 %. Free: 100 %" in found["words"]
+    assert peers.verdict(peers.summary(made({"pso-abc-sa": [1.0]}), ["inst"], 100)) is None
 
 
 def test_a_small_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
