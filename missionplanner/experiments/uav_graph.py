@@ -175,7 +175,7 @@ def woven(places: FloatArray, m: MapArrays, reach_m: float, out: FloatArray) -> 
     # all paths that end so.
     unit = np.empty((2, width, width, 2))
     climb = np.empty((2, width, width))
-    least = np.full((2, width, width), np.inf)
+    least = np.empty((2, width, width))
     came = np.zeros((layers + 1, width, width), dtype=np.int16)
     legs = 0
     for i in range(layers + 1):
@@ -228,10 +228,12 @@ def woven(places: FloatArray, m: MapArrays, reach_m: float, out: FloatArray) -> 
         if least[last, b, 0] < least[last, best, 0]:
             best = b
     price = least[last, best, 0]
-    out[0], out[layers + 1] = m.start, m.end
     to = 0
+    for k in range(3):
+        out[0, k], out[layers + 1, k] = m.start[k], m.end[k]
     for i in range(layers, 0, -1):
-        out[i] = places[i - 1, best]
+        for k in range(3):
+            out[i, k] = places[i - 1, best, k]
         before_best = came[i, best, to]
         to = best
         best = before_best
