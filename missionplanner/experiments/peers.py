@@ -30,7 +30,7 @@ from missionplanner.errors import MissionError
 from missionplanner.experiments import campaign, scene_runs, uav_objective, uav_search
 from missionplanner.experiments.contenders import INSTALL, PEERS, Contender, Tally, find_contender, ours
 from missionplanner.experiments.document import machine
-from missionplanner.experiments.statistics import friedman, paired
+from missionplanner.experiments.statistics import friedman, median_interval, paired
 from missionplanner.files import replacing, write_atomic, write_csv
 from missionplanner.mission import load_mission
 
@@ -182,6 +182,8 @@ def run(
     found = sorted(instances.glob("*.npz")) if instances is not None else []
     if instances is not None and not found:
         raise MissionError(f"--instances {instances}: expected a folder with instances (*.npz), found none")
+    if min(budgets, default=1) < 1:
+        raise MissionError(f"--evaluations: expected numbers of at least 1, got {min(budgets)}")
     if not found and not scenes:
         raise MissionError("peers: expected something to search: name --instances FOLDER, or a --scene")
     sources = {path.stem: _instance(path) for path in found} | {path.stem: _scene(path) for path in scenes}
@@ -313,6 +315,7 @@ def summary(results: Results, problems: Sequence[str], budget: int) -> list[dict
                 "contender": name,
                 "ours": find_contender(name).ours,
                 "gap_median_percent": float(np.median(gaps[:, k])),
+                "gap_median_interval_percent": list(median_interval(gaps[:, k], np.random.default_rng(0))),
                 "gap_mean_percent": float(np.mean(gaps[:, k])),
                 "gap_worst_percent": float(np.max(gaps[:, k])),
                 "free": float(np.mean([run.free for run in runs])),
@@ -333,14 +336,15 @@ def verdict(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     if own is None or not others:
         return None
     nearest, freest = min(others, key=lambda row: row["gap_median_percent"]), max(others, key=lambda row: row["free"])
+    gap, free = "gap_median_percent", "free"
     return {
-        "lowest_gap": own["gap_median_percent"] < nearest["gap_median_percent"],
+        "lowest_gap": own[gap] < nearest[gap],
         "nearest": nearest["contender"],
-        "most_free": own["free"] > freest["free"],
+        "most_free": own[free] > freest[free],
         "freest": freest["contender"],
-        "words": f"{BEST}: median gap {own['gap_median_percent']:.2f} %; the lowest of the others, {nearest['contender']}: "
-        f"{nearest['gap_median_percent']:.2f} %. Free: {100.0 * own['free']:.0f} %; the most often of the others, "
-        f"{freest['contender']}: {100.0 * freest['free']:.0f} %.",
+        "words": f"{BEST}: median gap {own[gap]:.2f} %, free {100.0 * own[free]:.0f} %; of the others "
+        f"{nearest['contender']} has the lowest gap, {nearest[gap]:.2f} %, and {freest['contender']} is most often free, "
+        f"{100.0 * freest[free]:.0f} %.",
     }
 
 
@@ -411,8 +415,9 @@ def table(results: Results) -> str:
     limit = "the evaluations" if results.seconds is None else f"{results.seconds:g} s of wall time"
     lines += [
         f"All in one run on one machine, a thread each, {limit} the same for everybody. Gap: excess over the best cost "
-        "known, by any run here or before. Free: without penalty. Rank: Friedman's over all runs; p: Wilcoxon's signed "
-        f"ranks of {BEST} against each, corrected by Holm. Processor time includes the function's own.",
+        "known, by any run here or before; in brackets the median's bootstrapped interval. Free: without penalty. Rank: "
+        f"Friedman's over all runs; p: Wilcoxon's signed ranks of {BEST} against each, corrected by Holm. Processor time "
+        "includes the function's own.",
         "",
         machine(),
     ]
@@ -448,15 +453,16 @@ def _table_lines(results: Results, problems: Sequence[str], budget: int) -> list
         "",
         f"{what}, {seeds} seeds:",
         "",
-        "| | gap: median | mean | worst | free | rank | p | processor s per 10,000 |"
+        "| | gap: median (95 %) | mean | worst | free | rank | p | processor s per 10,000 |"
         + (" evaluations |" if not budget else ""),
         "|---" * (8 if budget else 9) + "|",
     ]
     for r in rows:
         name = f"**{r['contender']}**" if r["ours"] else r["contender"]
+        low, high = r["gap_median_interval_percent"]
         p = "-" if r["p_holm"] is None else f"{r['p_holm']:.1g}"
         lines.append(
-            f"| {name} | {r['gap_median_percent']:.2f} % | {r['gap_mean_percent']:.1f} % | "
+            f"| {name} | {r['gap_median_percent']:.2f} % ({low:.1f} to {high:.1f}) | {r['gap_mean_percent']:.1f} % | "
             f"{r['gap_worst_percent']:.0f} % | {100.0 * r['free']:.0f} % | {r['rank']:.1f} | {p} | "
             f"{r['cpu_s_per_10000']:.3f} |" + (f" {r['evaluations_median']:,.0f} |" if not budget else "")
         )

@@ -162,6 +162,7 @@ def test_gaps_are_over_the_best_of_all_runs() -> None:
     assert second["gap_mean_percent"] == pytest.approx(70.0)
     assert (first["rank"], second["rank"]) == (1.0, 2.0)
     assert second["p_holm"] == pytest.approx(0.25)  # three of three: 2 / 2^3
+    assert first["gap_median_interval_percent"] == [0.0, pytest.approx(20.0)]
     assert first["cpu_s_per_10000"] == pytest.approx(50.0)
     assert peers.as_json(results)["instances"][0]["best_peer"] == "scipy DE"
 
@@ -176,7 +177,7 @@ def test_the_verdict_is_against_every_other() -> None:
     found = peers.verdict(peers.summary(made(costs), ["inst"], 100))
     assert found is not None
     assert (found["lowest_gap"], found["most_free"], found["nearest"]) == (True, False, "scipy DE")
-    assert "median gap 10.00 %; the lowest of the others, scipy DE: 12.00 %. Free: 100 %" in found["words"]
+    assert "median gap 10.00 %, free 100 %; of the others scipy DE has the lowest gap, 12.00 %" in found["words"]
     assert peers.verdict(peers.summary(made({"pso-abc-sa": [1.0]}), ["inst"], 100)) is None
 
 
@@ -252,5 +253,7 @@ def test_scenes_are_searched_as_the_paper_poses_them(tmp_path: Path) -> None:
 def test_wrong_input_is_told(tmp_path: Path) -> None:
     with pytest.raises(MissionError, match=r"expected a folder with instances \(\*\.npz\), found none"):
         peers.main(tmp_path / "out", instances=tmp_path)
+    with pytest.raises(MissionError, match="expected numbers of at least 1, got 0"):
+        peers.main(tmp_path / "out", scenes=[Path("missions/mountain.yaml")], budgets=[0, 10])
     with pytest.raises(MissionError, match="expected something to search"):
         peers.main(tmp_path / "out")
