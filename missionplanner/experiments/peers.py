@@ -343,8 +343,8 @@ def verdict(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
         "most_free": own[free] > freest[free],
         "freest": freest["contender"],
         "words": f"{BEST}: median gap {own[gap]:.2f} %, free {100.0 * own[free]:.0f} %; of the others "
-        f"{nearest['contender']} has the lowest gap, {nearest[gap]:.2f} %, and {freest['contender']} is most often free, "
-        f"{100.0 * freest[free]:.0f} %.",
+        f"{nearest['contender']} has the lowest gap, {nearest[gap]:.2f} %, and {freest['contender']} is most often "
+        f"free, {100.0 * freest[free]:.0f} %.",
     }
 
 
@@ -415,9 +415,9 @@ def table(results: Results) -> str:
     limit = "the evaluations" if results.seconds is None else f"{results.seconds:g} s of wall time"
     lines += [
         f"All in one run on one machine, a thread each, {limit} the same for everybody. Gap: excess over the best cost "
-        "known, by any run here or before; in brackets the median's bootstrapped interval. Free: without penalty. Rank: "
-        f"Friedman's over all runs; p: Wilcoxon's signed ranks of {BEST} against each, corrected by Holm. Processor time "
-        "includes the function's own.",
+        "known, by any run here or before; in brackets the median's bootstrapped interval. Free: without penalty. "
+        f"Rank: Friedman's over all runs; p: Wilcoxon's signed ranks of {BEST} against each, corrected by Holm. "
+        "Processor time includes the function's own.",
         "",
         machine(),
     ]
