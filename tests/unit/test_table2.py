@@ -40,6 +40,20 @@ def test_ranks_are_of_medians_and_of_runs() -> None:
     assert ranks["median, errors below 1e-8 equal"].ranks.tolist() == [1.25, 1.75]
 
 
+def test_the_standing_names_who_is_before() -> None:
+    """Six functions: all lost is beyond chance (p = 1/32), four lost narrowly and two won clearly is not."""
+    names = ["f1", "f2", "f3", "f5", "f7", "f9"]
+    costs = {f: {BEST: [2.0, 2.0], "pso": [1.0 + k / 10] * 2} for k, f in enumerate(names)}
+    at = table2.standing(made(costs))["median"]
+    assert (at["before"], at["best"], at["tied"]) == (["pso"], False, False)
+    costs = {f: {BEST: [2.0, 2.0], "pso": [3.0 + k if f != "f9" else 1.9] * 2} for k, f in enumerate(names)}
+    at = table2.standing(made(costs))["median"]
+    assert (at["before"], at["best"], at["tied"]) == ([], True, True)
+    lost = dict(zip(names, [1.0, 1.1, 1.2, 9.0, 9.1, 1.3], strict=True))
+    at = table2.standing(made({f: {BEST: [2.0, 2.0], "pso": [v, v]} for f, v in lost.items()}))["median"]
+    assert (at["before"], at["best"], at["tied"]) == (["pso"], False, True)
+
+
 def test_duels_count_functions() -> None:
     """Twenty runs apart are sure, the same runs are not."""
     rng = np.random.default_rng(1)
