@@ -155,9 +155,9 @@ class Price:
         """Return every term (P,) of paths (P, S, 3), S >= 2; inf for paths with NaN."""
         return CostTerms(*np.ascontiguousarray(self._table(paths).T))
 
-    def total(self, paths: FloatArray) -> FloatArray:
+    def total(self, paths: FloatArray, threads: int = THREADS) -> FloatArray:
         """Return the weighted sum (P,) of the terms of paths (P, S, 3)."""
-        total: FloatArray = self._table(paths) @ self.weights
+        total: FloatArray = self._table(paths, threads) @ self.weights
         return np.where(np.isnan(total), np.inf, total)
 
     def weighted(self, paths: FloatArray) -> dict[str, FloatArray]:
@@ -165,7 +165,7 @@ class Price:
         table = self._table(paths) * self.weights
         return {name: table[:, k] for k, name in enumerate(TERMS)}
 
-    def _table(self, paths: FloatArray) -> FloatArray:
+    def _table(self, paths: FloatArray, threads: int = THREADS) -> FloatArray:
         """Return the terms (P, PRICE_COLUMNS), the population shared by threads."""
         population = _floats(paths)
         table = np.empty((len(population), kernels.PRICE_COLUMNS))
@@ -181,7 +181,7 @@ class Price:
                 table[part],
             )
 
-        threads = min(THREADS, len(population) // _ROWS_PER_THREAD)
+        threads = min(threads, len(population) // _ROWS_PER_THREAD)
         if threads > 1:
             edges = np.linspace(0, len(population), threads + 1).astype(int)
             others = [_threads().submit(price, slice(a, b)) for a, b in pairwise(edges[1:])]

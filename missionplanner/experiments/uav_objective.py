@@ -15,6 +15,7 @@ also where that steps: what lies on a step is computed as the definition rounds.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -218,6 +219,10 @@ def _share(rows: int, threads: int, work: Callable[[slice], None]) -> None:
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="objective")
+
+
+if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads
+    os.register_at_fork(after_in_child=_pool.cache_clear)
 
 
 # --- the kernels ---------------------------------------------------------------------------------------------------
