@@ -374,3 +374,36 @@ def uav(
         )
 
     run("uav", output, as_json, measure)
+
+
+@app.command()
+def kernel(
+    output: Output = None,
+    seed: Seed = 1,
+    quick: Quick = False,
+    instances: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="instances of the UAV objective (*.npz); default: made here")
+    ] = None,
+    yardstick: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="another implementation of it, a Python file as uavbench.py")
+    ] = None,
+    mission: Annotated[
+        list[Path] | None, typer.Option(help="mission files whose paths are priced; default: two of the examples")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure how fast costs are computed, and how far that is from the machine's pace."""
+    from missionplanner.experiments import kernel as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(
+            folder,
+            instances=instances,
+            yardstick=yardstick,
+            missions=mission or [SAN_GABRIEL.with_name("mountain.yaml"), SAN_GABRIEL],
+            seed=seed,
+            quick=quick,
+            progress=show,
+        )
+
+    run("kernel", output, as_json, measure)
