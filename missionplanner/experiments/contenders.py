@@ -27,7 +27,7 @@ from functools import cache, partial
 from importlib.metadata import PackageNotFoundError
 from importlib.metadata import version as version_of_package
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -86,20 +86,30 @@ class Tally:
         BudgetSpent
             More points than the budget allows; those it allows have been priced.
         """
-        asked = np.clip(np.asarray(points, dtype=float), self.lower, self.upper)
-        left = self.evaluations - self.used
-        if left > 0 and self._clock() < self._until:
-            rows = asked[:left]
-            cost = np.asarray(self._price(rows), dtype=float)
-            self._count(rows, cost)
-            if len(rows) == len(asked):
-                return cost
-        self.spent = True
-        raise BudgetSpent
+        left = self._left()
+        if not left:
+            self._end()
+        asked = np.minimum(np.maximum(points, self.lower), self.upper)
+        rows = asked[:left]
+        cost = np.asarray(self._price(rows), dtype=float)
+        first = int(np.argmin(np.where(np.isnan(cost), np.inf, cost)))
+        if cost[first] < self.cost:
+            self._keep(rows[first], float(cost[first]), self.used + first + 1)
+        self.used += len(rows)
+        if len(rows) < len(asked):
+            self._end()
+        return cost
 
     def single(self, point: npt.ArrayLike) -> float:
-        """Return the price of one point (D,)."""
-        return float(self.batch(np.asarray(point, dtype=float)[None])[0])
+        """Return the price of one point (D,), as :meth:`batch` would, with less ado."""
+        if not self._left():
+            self._end()
+        row = np.minimum(np.maximum(point, self.lower), self.upper)
+        cost = float(np.asarray(self._price(row[None]))[0])
+        self.used += 1
+        if cost < self.cost:
+            self._keep(row, cost, self.used)
+        return cost
 
     def unit(self, points: npt.ArrayLike) -> FloatArray:
         """Return the prices (P,) of points (P, D) of the unit box."""
@@ -110,14 +120,19 @@ class Tally:
         """The best cost over the search: (evaluations, seconds, cost), falling costs, the last one as it ended."""
         return [*self._curve.values()]
 
-    def _count(self, rows: FloatArray, cost: FloatArray) -> None:
-        number = np.where(np.isnan(cost), np.inf, cost)
-        first = int(np.argmin(number))
-        at = self.used + first + 1
-        self.used += len(rows)
-        if number[first] < self.cost:
-            self.best, self.cost = rows[first].copy(), float(number[first])
-            self._curve[int(math.log(at) / math.log(_STEP))] = (at, self._clock() - self._began, self.cost)
+    def _left(self) -> int:
+        """Return how many points may still be priced."""
+        if self._until < math.inf and self._clock() >= self._until:
+            return 0
+        return self.evaluations - self.used
+
+    def _end(self) -> NoReturn:
+        self.spent = True
+        raise BudgetSpent
+
+    def _keep(self, point: FloatArray, cost: float, at: int) -> None:
+        self.best, self.cost = point.copy(), cost
+        self._curve[int(math.log(at) / math.log(_STEP))] = (at, self._clock() - self._began, cost)
 
 
 Run = Callable[..., None]  # (library, tally, seed): searches until it ends or the tally ends it

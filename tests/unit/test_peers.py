@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -57,6 +58,26 @@ def test_the_count_is_exact(batches: list[int], budget: int, seed: int) -> None:
     np.testing.assert_array_equal(record.rows, within)
     assert tally.cost == bowl(within).min()
     np.testing.assert_array_equal(tally.best, within[np.argmin(bowl(within))])
+
+
+@given(st.integers(0, 2**32), st.integers(1, 30))
+def test_points_one_by_one_are_counted_as_a_batch_is(seed: int, budget: int) -> None:
+    """Also those without a price."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-6.0, 8.0, (20, 3))
+
+    def price(rows: np.ndarray) -> np.ndarray:
+        return np.where(rows[:, 0] > 2.0, np.nan, bowl(rows))
+
+    alone, together = Tally(price, LOWER, UPPER, budget), Tally(price, LOWER, UPPER, budget)
+    with suppress(BudgetSpent):
+        for point in points:
+            alone.single(point)
+    with suppress(BudgetSpent):
+        together.batch(points)
+    assert (alone.used, alone.cost, alone.spent) == (together.used, together.cost, together.spent)
+    np.testing.assert_array_equal(alone.best, together.best)
+    assert alone.curve[-1:] == [] or alone.curve[-1][::2] == together.curve[-1][::2]
 
 
 def test_the_curve_falls_to_the_cost_at_the_evaluation_that_found_it() -> None:
