@@ -232,7 +232,11 @@ def _loaded(library: str) -> Any:
         os.close(handle)
         atexit.register(os.unlink, path)
         os.environ["LOG_CFG"] = path
-    return importlib.import_module(library)
+    try:
+        return importlib.import_module(library)
+    except ImportError as error:
+        reason = " ".join(str(error).split())
+        raise MissionError(f"{library}: expected a library that can be imported, got: {reason}: {INSTALL}") from error
 
 
 def _imported(module: Any) -> Iterator[str]:

@@ -140,6 +140,9 @@ def test_who_is_absent_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         absent.run(bowl, LOWER, UPPER, evaluations=10, seed=1)
     with pytest.raises(MissionError, match="did you mean"):
         find_contender("pso-abc")
+    monkeypatch.setattr(contenders, "_version", lambda _library: "1.0")  # installed, and broken
+    with pytest.raises(MissionError, match=r"no-such-library: expected a library that can be imported, got: No module"):
+        absent.run(bowl, LOWER, UPPER, evaluations=10, seed=1)
 
 
 def test_digests_tell_algorithms_and_settings_apart() -> None:
