@@ -41,7 +41,7 @@ from typing import TYPE_CHECKING
 import numba
 import numpy as np
 
-from missionplanner import kernels
+from missionplanner import kernels, price_gradient
 from missionplanner.clearance import Margins
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import PriceSettings, SpaceArrays
@@ -147,9 +147,9 @@ class Price:
         self.weights = np.array([getattr(weights, name, weights.constraint) for name in TERMS], dtype=np.float64)
         # what has no weight need not be looked at
         inspects = towers is not None and weights.inspection > 0.0
-        self._tower_tops = _floats(towers.top_m) if towers is not None and inspects else np.empty((0, 3))
-        self._tower_weights = _floats(towers.weight) if towers is not None and inspects else np.empty(0)
-        self._fellows = _floats(fellows) if fellows is not None else np.empty((0, 0, 3))
+        self.tower_tops = _floats(towers.top_m) if towers is not None and inspects else np.empty((0, 3))
+        self.tower_weights = _floats(towers.weight) if towers is not None and inspects else np.empty(0)
+        self.fellows = _floats(fellows) if fellows is not None else np.empty((0, 0, 3))
 
     def terms(self, paths: FloatArray) -> CostTerms:
         """Return every term (P,) of paths (P, S, 3), S >= 2; inf for paths with NaN."""
@@ -165,6 +165,26 @@ class Price:
         table = self._table(paths) * self.weights
         return {name: table[:, k] for k, name in enumerate(TERMS)}
 
+    def slopes(self, paths: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the weighted sums (P,) of finite paths (P, S, 3) and their derivatives (P, S, 3) by every sample.
+
+        Exact, but where the price has kinks (see :mod:`.price_gradient`): there they are one-sided.
+        """
+        population = _floats(paths)
+        table, slopes = np.empty((len(population), kernels.PRICE_COLUMNS)), np.empty(population.shape)
+        price_gradient.price_slopes(
+            population,
+            self.space,
+            self.settings,
+            self.tower_tops,
+            self.tower_weights,
+            self.fellows,
+            self.weights,
+            table,
+            slopes,
+        )
+        return table @ self.weights, slopes
+
     def _table(self, paths: FloatArray, threads: int = THREADS) -> FloatArray:
         """Return the terms (P, PRICE_COLUMNS), the population shared by threads."""
         population = _floats(paths)
@@ -175,9 +195,9 @@ class Price:
                 population[part],
                 self.space,
                 self.settings,
-                self._tower_tops,
-                self._tower_weights,
-                self._fellows,
+                self.tower_tops,
+                self.tower_weights,
+                self.fellows,
                 table[part],
             )
 

@@ -1,17 +1,21 @@
-"""One vehicle's path: first guesses from the graph, PSO-ABC-SA on a smooth curve, then the legs that are flown.
+"""One vehicle's path: first guesses from the graph, drawn to their optima, explored around by a swarm, then flown legs.
 
 A guess is a clear polyline. It becomes a C2 cubic spline that hugs it, the closer the nearer its control points stand
-to the corners. Of all guesses, one per homotopy class, the cheapest curve is taken, and the search bends it: it moves a
-few handles between the route's points, and the curve follows as a second, wider spline of their offsets. So the search
-starts from a clear path and can only improve on it. A curve counts only when every leg fitted to it is proven clear
-with its whole tube, a plane's predicted flight likewise; if not, the next attempt hugs closer and keeps further off.
+to the corners. The cheapest few curves, of different homotopy classes, are polished (:mod:`.polish`): all their control
+points move to the optimum that is nearest downhill, by exact derivatives. Around the cheapest of those PSO-ABC-SA, or
+whatever the mission names, looks for what lies beyond the next hill: it bends the curve by a few wide handles, for as
+long as that gains anything, and its best few finds are polished in turn. So a search starts from a clear path and can
+only improve on it. A curve counts only when every leg fitted to it is proven clear with its whole tube, a plane's
+predicted flight likewise; if not, the next cheapest is tried, then the guess, and then another attempt hugs closer and
+keeps further off.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,8 +28,8 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 from missionplanner.mission import Planner
 from missionplanner.path import basis, length_m
+from missionplanner.polish import polish
 from missionplanner.scene import VehicleTask
-from missionplanner.search.base import SearchResult
 from missionplanner.search.run import minimise
 from missionplanner.seeds import first_guesses
 from missionplanner.terrain_bounds import Pyramid
@@ -36,17 +40,56 @@ _EXTRA_M = (0.0, 1.0, 2.0, 4.0, 7.0)
 _WIRE_M = 0.02
 """What rounding to 1e-7 degrees and single precision moves a waypoint at most."""
 _GUESSES_PER_SECTION = 2
+_CLASSES = 3
+"""How many of the guesses' curves are polished."""
 _SAMPLES = 200
 """On an evenly sampled path, beyond which the way is long enough for coarser steps; corners get more."""
 _SAMPLE_M = 15.0
 _CORNER_M = 24.0
 """How far from a corner its neighbouring control points stand in the first attempt; halved in each further one."""
-_SETTLING_COST = 0.003
-"""Share of the price that may be given up for a curve of fewer bends."""
+_PATIENCE = 3
+"""Generations without a gain after which the swarm has seen enough; twice as many while time is the budget."""
+_GAIN = 1e-3
+"""Share of the price that is a gain."""
+_ELSEWHERE = 0.25
+"""How far from the centre of its box (1: across) a point of the swarm is another find than its centre."""
 _GENTLER = 0.85
 """By how much guesses climb and descend less when the curves around them were too steep."""
 _ANGLE_SLACK_RAD = math.radians(0.5)
 """The search keeps this far inside the climb limit, because a chord may be steeper than the curve it cuts."""
+
+Clock = Callable[[], float]
+
+
+@dataclass(slots=True)
+class SearchSeconds:
+    """What the parts of a search took, by the clock that was passed in."""
+
+    graph_s: float = 0.0
+    swarm_s: float = 0.0
+    polish_s: float = 0.0
+    proof_s: float = 0.0
+
+    @property
+    def search_s(self) -> float:
+        """All but fitting the legs and proving them."""
+        return self.graph_s + self.swarm_s + self.polish_s
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """How long a search may take: until a time of the clock that is passed in; without a clock, by evaluations alone.
+
+    Time in place of evaluations costs repeatability: how far a search comes depends on the machine.
+    """
+
+    clock: Clock | None = None
+    until_s: float = math.inf
+
+    @property
+    def left_s(self) -> float:
+        """What is left, never below 0."""
+        return math.inf if self.clock is None else max(0.0, self.until_s - self.clock())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,16 +103,18 @@ class PlannedPath:
     cost_terms: dict[str, float]
     history: FloatArray
     evaluations: int
+    seconds: SearchSeconds = field(default_factory=SearchSeconds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Family:
-    """Curves around one guess: samples of the guess's own spline, plus a spline of the handles' offsets."""
+    """Curves around one curve: its samples, plus a spline of the handles' offsets."""
 
     base_m: FloatArray  # (S, 3)
     stops: npt.NDArray[np.intp]  # the samples at the route's points
     handles: FloatArray  # (S, H), the basis of the offsets; zero at the stops
     reach_m: FloatArray  # (H, 3), the greatest offsets
+    freedom: FloatArray  # (S, K), the basis of all that the curve's own control points may do; zero at the stops
 
     @property
     def dimensions(self) -> int:
@@ -77,15 +122,53 @@ class _Family:
         return self.reach_m.size
 
     @property
-    def guess(self) -> FloatArray:
-        """The point of the unit box (3 H,) that is the guess itself."""
+    def centre(self) -> FloatArray:
+        """The point of the unit box (3 H,) that is the curve itself."""
         return np.full(self.dimensions, 0.5)
 
     def paths(self, x: FloatArray) -> FloatArray:
-        """Return the curves (P, S, 3) of points of the unit box (P, 3 H); its centre is the guess."""
+        """Return the curves (P, S, 3) of points of the unit box (P, 3 H); its centre is the curve itself."""
         offsets = (2.0 * x.reshape(len(x), -1, 3) - 1.0) * self.reach_m
         paths: FloatArray = self.base_m + np.matmul(self.handles, offsets)
         return paths
+
+
+@dataclass(slots=True, eq=False)
+class _Finds:
+    """What a search has found, the cheapest curve first, and what it took."""
+
+    price: Price
+    budget: Budget
+    seconds: SearchSeconds = field(default_factory=SearchSeconds)
+    history: list[float] = field(default_factory=list)
+    evaluations: int = 0
+    curves: list[tuple[float, FloatArray, _Family]] = field(default_factory=list)
+
+    @contextmanager
+    def timed(self, part: str) -> Iterator[None]:
+        """Add what is done within to a part of the seconds."""
+        began_s = self.budget.clock() if self.budget.clock is not None else 0.0
+        yield
+        if self.budget.clock is not None:
+            setattr(self.seconds, part, getattr(self.seconds, part) + self.budget.clock() - began_s)
+
+    def add(self, cost: float, path_m: FloatArray, family: _Family) -> None:
+        """Take a curve."""
+        self.curves.append((cost, path_m, family))
+        self.curves.sort(key=lambda curve: curve[0])
+        self.told([cost])
+
+    def told(self, costs: list[float]) -> None:
+        """Take news of the cheapest price."""
+        for cost in costs:
+            self.history.append(min([cost, *self.history[-1:]]))
+
+    def polished(self, path_m: FloatArray, family: _Family) -> None:
+        """Draw a curve of a family to its optimum and take it."""
+        with self.timed("polish_s"):
+            result = polish(self.price, path_m, family.freedom)
+        self.evaluations += result.evaluations
+        self.add(result.cost, result.path_m, family)
 
 
 def find_path(
@@ -99,6 +182,7 @@ def find_path(
     flown_is_clear: Callable[[FloatArray], bool],
     on_iteration: Callable[[float], None] | None = None,
     wider_m: float = 0.0,
+    budget: Budget | None = None,
 ) -> PlannedPath:
     """Return a clear, flyable, short and smooth path for one vehicle.
 
@@ -114,40 +198,51 @@ def find_path(
         Told the share of the search that is done.
     wider_m
         How much more than the margins is looked for, where there is room.
+    budget
+        When the search has to stop improving. Whatever it is, a first guess is looked for and proven.
 
     Raises
     ------
     InfeasibleError
         No clear path was found; the message names the vehicle and what blocks it.
     """
+    budget = budget or Budget()
+    seconds = SearchSeconds()
     gentleness = 1.0
     for attempt, more_m in enumerate(_EXTRA_M):
         # the fitted legs may leave the curve by the tolerance
         extra_m = settings.waypoint_tolerance_m + wider_m + more_m
+        finds = _Finds(price_of(extra_m), budget, seconds)
         try:
-            sections = _guess_sections(task, space, names, extra_m, gentleness)
+            with finds.timed("graph_s"):
+                sections = _guess_sections(task, space, names, extra_m, gentleness)
         except InfeasibleError:
             if attempt > 0:
                 break  # there is a way, but no room to hold it closer
             extra_m = settings.waypoint_tolerance_m
-            sections = _guess_sections(task, space, names, extra_m, gentleness)
-        price = price_of(extra_m)
-        family = _cheapest_family(sections, _corner_m(task) / 2**attempt, price)
-        result = _search(family, price, settings, rng, on_iteration if attempt == 0 else None)
-        settled = _settled(family, result.best, price)
-        for path_m in np.round(family.paths(np.stack([settled, result.best, family.guess])), 3):
-            waypoints = _flyable_legs(path_m, family.stops, task, space, bounds, settings.waypoint_tolerance_m)
-            if waypoints is not None and flown_is_clear(waypoints):
+            finds.price = price_of(extra_m)
+            with finds.timed("graph_s"):
+                sections = _guess_sections(task, space, names, extra_m, gentleness)
+        with finds.timed("graph_s"):
+            families = _families(sections, _corner_m(task) / 2**attempt, finds)
+        _search(families, finds, settings, rng, on_iteration if attempt == 0 else None)
+        for _, curve_m, family in finds.curves:
+            path_m = np.round(curve_m, 3)
+            with finds.timed("proof_s"):
+                waypoints = _flyable_legs(path_m, family.stops, task, space, bounds, settings.waypoint_tolerance_m)
+                clear = waypoints is not None and flown_is_clear(waypoints)
+            if waypoints is not None and clear:
                 return PlannedPath(
                     path_m=path_m,
                     waypoints_m=waypoints,
                     length_m=float(length_m(path_m)),
-                    cost=float(price.total(path_m[np.newaxis])[0]),
-                    cost_terms={name: float(value[0]) for name, value in price.terms(path_m[np.newaxis]).items()},
-                    history=result.history,
-                    evaluations=result.evaluations,
+                    cost=float(finds.price.total(path_m[np.newaxis])[0]),
+                    cost_terms={name: float(v[0]) for name, v in finds.price.terms(path_m[np.newaxis]).items()},
+                    history=np.array(finds.history),
+                    evaluations=finds.evaluations,
+                    seconds=seconds,
                 )
-        if not legs_within_angles(task.limits, polyline_legs(family.base_m), _ANGLE_SLACK_RAD).all():
+        if not legs_within_angles(task.limits, polyline_legs(families[0].base_m), _ANGLE_SLACK_RAD).all():
             gentleness *= _GENTLER  # a curve cuts the bends of a climb that winds up, and gets steeper there
     raise InfeasibleError(
         f"{task.name}: found no path that is proven clear with its whole tube in {len(_EXTRA_M)} attempts: "
@@ -156,50 +251,81 @@ def find_path(
 
 
 def _search(
-    family: _Family,
-    price: Price,
+    families: list[_Family],
+    finds: _Finds,
     settings: Planner,
     rng: np.random.Generator,
     on_iteration: Callable[[float], None] | None,
-) -> SearchResult:
-    """Return the cheapest member of the family that the search finds; it begins at and around the guess."""
-    evaluations = settings.population * settings.iterations
-    shaken = family.guess + rng.normal(0.0, 0.1, (settings.population // 2, family.dimensions))
+) -> None:
+    """Polish the families' curves, explore around the cheapest, polish what that finds; as far as the budget goes."""
+    for family in families:
+        if finds.budget.left_s > 0.0:
+            finds.polished(family.base_m, family)
+    best_cost, best_m, family = finds.curves[0]
+    if finds.budget.left_s > 0.0:
+        around = replace(family, base_m=best_m)
+        for path_m in _explore(around, best_cost, finds, settings, rng, on_iteration):
+            finds.polished(path_m, family)
+    if on_iteration is not None:
+        on_iteration(1.0)
 
-    def report(used: int, _best: float) -> None:
+
+def _explore(
+    family: _Family,
+    least: float,
+    finds: _Finds,
+    settings: Planner,
+    rng: np.random.Generator,
+    on_iteration: Callable[[float], None] | None,
+) -> list[FloatArray]:
+    """Return the few curves that the mission's algorithm finds around a curve of price ``least``, worth a polish.
+
+    The cheapest of all, if it is cheaper, and the cheapest of those that lie elsewhere: a polish may well make more of
+    it. A swarm that gains nothing for a while stops.
+    """
+    timed = math.isfinite(finds.budget.left_s)
+    evaluations = settings.population * settings.iterations
+    patience = _PATIENCE * (2 if timed else 1)
+    shaken = family.centre + rng.normal(0.0, 0.1, (settings.population // 2, family.dimensions))
+    elsewhere, elsewhere_cost = family.base_m, math.inf
+    gained, idle = least, 0
+
+    def cost(x: FloatArray) -> FloatArray:
+        nonlocal elsewhere, elsewhere_cost
+        paths = family.paths(x)
+        total = finds.price.total(paths)
+        far = np.where(np.abs(x - family.centre).max(axis=1) > _ELSEWHERE, total, np.inf)
+        leader = int(np.argmin(far))
+        if far[leader] < elsewhere_cost:
+            elsewhere, elsewhere_cost = paths[leader].copy(), float(far[leader])
+        return total
+
+    def seen_enough(used: int, best: float) -> bool:
+        nonlocal gained, idle
+        better = best < gained - _GAIN * abs(gained)
+        gained, idle = (best, 0) if better else (gained, idle + 1)
         if on_iteration is not None:
             on_iteration(used / evaluations)
+        return idle >= patience
 
-    return minimise(
-        lambda x: price.total(family.paths(x)),
-        np.zeros(family.dimensions),
-        np.ones(family.dimensions),
-        algorithm=settings.algorithm,
-        evaluations=evaluations,
-        seed=int(rng.integers(2**63)),
-        population=settings.population,
-        initial=np.concatenate([family.guess[np.newaxis], shaken]),
-        callback=report,
-    )
-
-
-def _settled(family: _Family, x: FloatArray, price: Price) -> FloatArray:
-    """Return ``x`` with every handle back on the guess that does not earn its place.
-
-    A swarm leaves all handles a little off. Each costs waypoints, for a curve that straight legs would fly as well.
-    """
-    handles = x.reshape(-1, 3).copy()
-    most = float(price.total(family.paths(x[np.newaxis]))[0]) * (1.0 + _SETTLING_COST)
-    off = list(range(len(handles)))
-    while off:
-        trials = np.repeat(handles[np.newaxis], len(off), axis=0)
-        trials[np.arange(len(off)), off] = 0.5
-        costs = price.total(family.paths(trials.reshape(len(off), -1)))
-        cheapest = int(np.argmin(costs))
-        if costs[cheapest] > most:
-            break
-        handles[off.pop(cheapest)] = 0.5
-    return handles.ravel()
+    with finds.timed("swarm_s"):
+        result = minimise(
+            cost,
+            np.zeros(family.dimensions),
+            np.ones(family.dimensions),
+            algorithm=settings.algorithm,
+            evaluations=evaluations,
+            seed=int(rng.integers(2**63)),
+            population=settings.population,
+            initial=np.concatenate([family.centre[np.newaxis], shaken]),
+            callback=seen_enough,
+            seconds=finds.budget.left_s if timed else None,
+            clock=finds.budget.clock or (lambda: 0.0),
+        )
+        finds.evaluations += result.evaluations
+        finds.told(result.history.tolist())
+        found = [family.paths(result.best[np.newaxis])[0]] if result.cost < least else []
+    return found + ([elsewhere] if math.isfinite(elsewhere_cost) else [])
 
 
 def _flyable_legs(
@@ -251,18 +377,30 @@ def _corner_m(task: VehicleTask) -> float:
     return max(_CORNER_M, 2.0 * task.limits.turn_radius_m)
 
 
-def _cheapest_family(sections: list[list[FloatArray]], corner_m: float, price: Price) -> _Family:
-    """Return the curves around the cheapest combination of the sections' guesses, looked for section by section."""
+def _families(sections: list[list[FloatArray]], corner_m: float, finds: _Finds) -> list[_Family]:
+    """Return the curves around the cheapest few combinations of the sections' guesses, looked for section by section.
+
+    The first is the cheapest.
+    """
+    tried: list[tuple[float, _Family]] = []
+
+    def cost_of(chosen: list[FloatArray]) -> float:
+        family = _family(chosen, corner_m)
+        cost = float(finds.price.total(family.base_m[np.newaxis])[0])
+        tried.append((cost, family))
+        finds.add(cost, family.base_m, family)
+        return cost
+
     chosen = [guesses[0] for guesses in sections]
-    best = _family(chosen, corner_m)
-    best_cost = float(price.total(best.base_m[np.newaxis])[0])
+    best_cost = cost_of(chosen)
     for s, guesses in enumerate(sections):
         for other in guesses[1:]:
-            candidate = _family([*chosen[:s], other, *chosen[s + 1 :]], corner_m)
-            cost = float(price.total(candidate.base_m[np.newaxis])[0])
+            candidate = [*chosen[:s], other, *chosen[s + 1 :]]
+            cost = cost_of(candidate)
             if cost < best_cost:
-                best, best_cost, chosen = candidate, cost, [*chosen[:s], other, *chosen[s + 1 :]]
-    return best
+                best_cost, chosen = cost, candidate
+    finds.evaluations += len(tried)
+    return [family for _, family in sorted(tried, key=lambda pair: pair[0])[:_CLASSES]]
 
 
 def _family(polylines: list[FloatArray], corner_m: float) -> _Family:
@@ -291,11 +429,15 @@ def _family(polylines: list[FloatArray], corner_m: float) -> _Family:
     handle_knots = np.sort(np.concatenate([at_stops, *places]))
     moving = ~np.isin(handle_knots, at_stops)
     lateral_m, vertical_m = np.clip(0.2 * gaps, 3.0, 60.0), np.clip(0.1 * gaps, 3.0, 30.0)
+    own = basis(knots, samples)
+    inner = np.ones(len(knots), dtype=bool)
+    inner[ends] = False
     return _Family(
-        base_m=basis(knots, samples) @ points,
+        base_m=own @ points,
         stops=stops,
         handles=basis(handle_knots, samples)[:, moving],
         reach_m=np.stack([lateral_m, lateral_m, vertical_m], axis=1),
+        freedom=np.ascontiguousarray(own[:, inner]),
     )
 
 

@@ -128,13 +128,13 @@ def test_the_search_only_improves_and_reports_what_it_did() -> None:
     path = found(around, on_iteration=news.append)
     assert path.history.size > 0
     assert np.all(np.diff(path.history) <= 0.0)
-    assert 0 < path.evaluations <= 20 * 30
+    assert path.evaluations > 0
     assert news == sorted(news)
-    assert news[-1] == pytest.approx(path.evaluations / (20 * 30))
+    assert news[-1] == 1.0
     exact = price(around, around.mission.planner.waypoint_tolerance_m)
     assert path.cost == pytest.approx(exact.total(path.path_m[None])[0])
     assert path.cost_terms == {name: pytest.approx(v[0]) for name, v in exact.terms(path.path_m[None]).items()}
-    assert path.cost <= path.history[0] * 1.003  # what is given up for fewer bends
+    assert path.cost <= path.history[-1] * 1.0001  # but for the millimetres that it is rounded to
 
 
 def test_more_room_is_kept_when_it_is_asked_for() -> None:
@@ -168,7 +168,7 @@ def test_the_same_generator_gives_the_same_path() -> None:
     one, same, other = (found(around, seed) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one.path_m, same.path_m)
     np.testing.assert_array_equal(one.history, same.history)
-    assert not np.array_equal(one.history, other.history)
+    assert other.cost == pytest.approx(one.cost, rel=1e-3)  # whatever chance has shown it
 
 
 def test_a_flight_that_cuts_its_corners_too_much_is_planned_again() -> None:
