@@ -245,25 +245,34 @@ def _clear_points(space: SpaceArrays, rules: Rules, p: FloatArray) -> npt.NDArra
     return clear
 
 
-def _rings(o: ObstacleArrays, margin_m: float, excess_m: float) -> FloatArray:
-    """Return points (N, 2) around every hard solid seen from above, and around every corner of a prism.
+def _rings(o: ObstacleArrays, ends: FloatArray, margin_m: float, longest_m: float, excess_m: float) -> FloatArray:
+    """Return points (N, 2) around every hard solid in the way seen from above, and around every corner of a prism.
 
     On the corners of a polygon around the circle, so that the legs between neighbours just touch it; a corner costs at
-    most about ``excess_m`` more than the arc.
+    most about ``excess_m`` more than the arc. Where two circles leave a gap, a leg of either polygon leads through.
     """
     prism = o.kind == kernels.PRISM
-    centres = [o.bound[o.hard & ~prism, :3]]
+    circles = [o.bound[o.hard & ~prism, :3]]
     for i in np.flatnonzero(o.hard & prism):
         corners = o.vertices[o.vertex_start[i] : o.vertex_start[i + 1]]
-        centres.append(np.column_stack([corners, np.zeros(len(corners))]))
+        circles.append(np.column_stack([corners, np.zeros(len(corners))]))
+    x, y, radius_m = np.concatenate(circles).T
+    reach_m = radius_m + margin_m + _CLOSE_M
+    away_m = np.hypot(x - ends[:, 0, np.newaxis], y - ends[:, 1, np.newaxis]).sum(axis=0)
+    inside = away_m - 2.0 * reach_m < longest_m
+    x, y, reach_m = x[inside], y[inside], reach_m[inside]
+    count = np.clip(np.ceil(math.tau / (12.0 * excess_m / reach_m) ** (1.0 / 3.0)), _POINTS_MIN, _POINTS_MAX)
+    out_m = reach_m / np.cos(math.pi / count)
+    apart_m = np.hypot(x[:, np.newaxis] - x, y[:, np.newaxis] - y)
+    gap = (apart_m < out_m[:, np.newaxis] + out_m) & (apart_m > reach_m[:, np.newaxis] + reach_m)
     rings = [np.empty((0, 2))]
-    for x, y, radius in np.concatenate(centres):
-        reach_m = radius + margin_m + _CLOSE_M
-        turn = (12.0 * excess_m / reach_m) ** (1.0 / 3.0)
-        count = int(np.clip(math.ceil(math.tau / turn), _POINTS_MIN, _POINTS_MAX))
-        angle = math.tau * np.arange(count) / count
-        out_m = reach_m / math.cos(math.pi / count)
-        rings.append(np.column_stack([x + out_m * np.cos(angle), y + out_m * np.sin(angle)]))
+    for n in range(len(x)):
+        facing = np.arctan2(y[gap[n]] - y[n], x[gap[n]] - x[n])[:, np.newaxis] + (
+            -math.pi / count[n],
+            math.pi / count[n],
+        )
+        angle = np.concatenate([math.tau * np.arange(int(count[n])) / count[n], facing.ravel()])
+        rings.append(np.column_stack([x[n] + out_m[n] * np.cos(angle), y[n] + out_m[n] * np.sin(angle)]))
     return np.concatenate(rings)
 
 
@@ -285,7 +294,8 @@ def shortest_way(
     fineness : of the rings: corners cost so many times less.
     """
     ends = np.array([start_m, goal_m])
-    ring = _rings(space.obstacles, rules.obstacle_m, _EXCESS / fineness * float(np.linalg.norm(goal_m - start_m)))
+    excess_m = _EXCESS / fineness * float(np.linalg.norm(goal_m - start_m))
+    ring = _rings(space.obstacles, ends, rules.obstacle_m, longest_m, excess_m)
     away = np.linalg.norm(ring[:, np.newaxis] - ends[:, :2], axis=2)
     share = away[:, 0] / np.maximum(away.sum(axis=1), 1e-9)
     raised = [np.column_stack([ring, start_m[2] + share * (goal_m[2] - start_m[2])])]

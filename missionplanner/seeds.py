@@ -41,7 +41,7 @@ _GREED = 1.2  # A* weighs what is to go this much: what it loses, drawing taut m
 _CUTS_MAX = 40
 _TIGHT_ROOM = 250  # points
 _HIDDEN_M = 5e-3  # shorter is no shorter, in flight
-_TAUT_TOLERANCE = 2e-5  # of the section's length: a corner is cut, a round repeated, while that saves more
+_TAUT_TOLERANCE = 1e-5  # of the section's length: a corner is cut, a round repeated, while that saves more
 
 
 class _Grid(NamedTuple):

@@ -231,7 +231,8 @@ _ARMIJO = 0.05
 _REACH = 1000.0  # barriers begin this many weights from the margin ...
 _REACH_MIN_M, _REACH_MAX_M = 0.5, 20.0  # ... within these
 _SLOPE_REACH = 0.03  # rad: barriers of the climb limits
-_SHIFT_M = 1e-4  # barriers end this much below the margin, for paths that touch it; steps are judged by the margin
+_SHIFT = 0.5  # weights: barriers end so far below the margin, for paths that touch it; steps are judged by the margin
+_HAIR_M = 1e-6  # what rounding may take from a path that touches it
 _HOLD = 0.004  # keeps points from sliding off along straight ways, where nothing else holds them
 _BACKTRACKS = 12
 _GOLDEN = 0.3819660112501051
@@ -248,22 +249,23 @@ class _Sum(NamedTuple):
     gradient: FloatArray  # (6,)
     hessian: FloatArray  # (6, 6)
     normal: FloatArray  # (3,) scratch
+    shift_m: float  # how far below the margin barriers end
 
 
 @njit(**INNER)
 def _barrier(room_m: float, reach_m: float, s: float, add: _Sum, derive: bool) -> float:
-    """Return the barrier of a distance beyond its margin, 0 from ``reach_m`` on; inf below the margin.
+    """Return the barrier of a distance beyond its margin, 0 from ``reach_m`` on; inf a hair below the margin.
 
     ``add.normal`` is the gradient of the distance by the place ``s`` along the leg, or by its direction for s = -1.
     """
-    if not room_m >= 0.0:
+    if not room_m > -_HAIR_M:
         return np.inf
     if room_m >= reach_m:
         return 0.0
-    near = (room_m + _SHIFT_M) / (reach_m + _SHIFT_M)
+    near = (room_m + add.shift_m) / (reach_m + add.shift_m)
     if derive:
-        slope = (1.0 - 1.0 / near) / (reach_m + _SHIFT_M)
-        bend = 1.0 / (room_m + _SHIFT_M) ** 2
+        slope = (1.0 - 1.0 / near) / (reach_m + add.shift_m)
+        bend = 1.0 / (room_m + add.shift_m) ** 2
         for i in range(6):
             vi = add.normal[i % 3] * ((s if i >= 3 else 1.0 - s) if s >= 0.0 else (1.0 if i >= 3 else -1.0))
             add.gradient[i] += slope * vi
@@ -323,7 +325,7 @@ def _solid_barrier(
     s = _nearest(space, rules, i, a, b)
     x, y, z = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
     room = _room(space, rules, i, x, y, z)
-    if derive and 0.0 <= room < reach_m:
+    if derive and room < reach_m:
         h = _SLOPE_M
         two = 2.0 * h
         add.normal[0] = (_room(space, rules, i, x + h, y, z) - _room(space, rules, i, x - h, y, z)) / two
@@ -358,7 +360,7 @@ def _height_barrier(
         f = s / length if length > 0.0 else 1.0
         ground = kernels.terrain_height(space.terrain, a[0] + f * ex, a[1] + f * ey)
         room = sign * (a[2] + f * ez - ground) - margin
-        if not room >= 0.0:
+        if not room > -_HAIR_M:
             return np.inf
         last = s >= length
         for end in range(2 if last else 1):
@@ -625,10 +627,10 @@ def tighten(
     length_m = 0.0
     for n in range(size - 1):
         length_m += _distance(p, n, n + 1)
-    add = _Sum(np.empty(6), np.empty((6, 6)), np.empty(3))
     gradient, band, trial = np.empty(rows), np.empty((_BAND, rows)), np.empty_like(p)
     for n in range(len(_WEIGHTS)):
         weight = _WEIGHTS[n] * length_m
+        add = _Sum(np.empty(6), np.empty((6, 6)), np.empty(3), _SHIFT * weight)
         size = _drop_points(space, rules, walls, p, size)
         size = _cut_corners(space, rules, walls, p, size, tolerance_m)
         if size > 2:
