@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from missionplanner.errors import MissionError
-from missionplanner.experiments import scene_runs, scenes_2d
+from missionplanner.experiments import mountain, multi_domain, scene_runs, scenes_2d
 from missionplanner.experiments.document import collect, machine
 from missionplanner.experiments.mountain import bounds_m, shortest_m
 from missionplanner.experiments.scene_comparison import BEST, PLANNER, Comparison, table
@@ -292,3 +292,23 @@ def test_grids_are_searched_and_planned(tmp_path: Path) -> None:
         planner = figures[name]["algorithms"][-1]
         assert (planner["algorithm"], planner["all"], planner["paths"]) == (PLANNER, 2, 2)
         assert (tmp_path / "paths.png").stat().st_size < 150_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mountain", "multi_domain"])
+def test_scenes_are_searched_and_planned(tmp_path: Path, name: str) -> None:
+    """One run of each: all that the planner found is clear, and what is written is whole."""
+    experiment = {"mountain": mountain, "multi_domain": multi_domain}[name]
+    figures = experiment.main(tmp_path, mission=mission_path(name), runs=1, workers=2)
+    problem = figures["problems"][0] if name == "mountain" else figures
+    planner = problem["algorithms"][-1]
+    vehicles = len(resolved(mission_path(name).read_text(encoding="utf-8"))[0].tasks)
+    assert (planner["algorithm"], planner["all"], planner["paths"]) == (PLANNER, vehicles, vehicles)
+    if name == "mountain":
+        assert figures["planner"]["excess"]["worst"] > 0.0
+        assert 0.0 < figures["planner"]["search_ms"]["once"] < figures["planner"]["cpu_ms_per_vehicle"]
+    pictures = sorted(tmp_path.glob("*.png"))
+    assert [p.name for p in pictures] == ["above.png", "fitness.png", "pitch.png", "scene.png", "space.png"]
+    assert all(p.stat().st_size < 150_000 for p in pictures)
+    told = (tmp_path / "results.md").read_text(encoding="utf-8")
+    assert all(f"({p.name})" in told for p in pictures)
