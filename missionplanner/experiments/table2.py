@@ -232,7 +232,8 @@ def standing(results: Results) -> dict[str, dict[str, Any]]:
     own = results.algorithms.index(BEST)
     found = {}
     for how, f in ranked(results).items():
-        before = [a for a, rank in zip(results.algorithms, f.ranks, strict=True) if rank < f.ranks[own]]
+        order = np.argsort(f.ranks, kind="stable")
+        before = [results.algorithms[k] for k in order if f.ranks[k] < f.ranks[own]]
         found[how] = {"rank": float(f.ranks[own]), "before": before, "best": not before, "tied": not sure & {*before}}
     return found
 
