@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from missionplanner.experiments.uav_objective import HIGH_M, LOW_M, PENALTY, TERMS, Instance, MapArrays
+from missionplanner.experiments.uav_objective import HIGH_M, LOW_M, PENALTY, Instance, MapArrays
 from missionplanner.geodesy import FloatArray
 
 MIDDLE_M = 0.5 * (LOW_M + HIGH_M)
@@ -36,7 +36,6 @@ _HAIR_M = 0.01
 """Length of a leg that only shares a corner between two; more than what encoding and decoding lose."""
 _CELLS = 90  # of the lattice, along the longer side of the map
 _APART = 6  # cells between two routes
-_GROUND = TERMS.index("ground")
 
 _kernel = njit(cache=True, error_model="numpy", nogil=True)
 
@@ -246,24 +245,12 @@ def woven(places: FloatArray, m: MapArrays, reach_m: float, out: FloatArray) -> 
 def lattice_routes(instance: Instance, *, routes: int, rng: np.random.Generator) -> Routes:
     """Return up to ``routes`` paths through nodes of a lattice, each off the others somewhere by some of its cells.
 
-    ``rng`` lays the lattice. All waypoints fly at the middle height, unless the ground is in the way so: then half of
-    the nodes are at the greatest. Turns are not seen, changes of climb in steps of ten degrees.
+    ``rng`` lays the lattice. All waypoints fly at the middle height. Turns are not seen, changes of climb in steps of
+    ten degrees.
     """
-    phase = rng.random(2)
-    found = _lattice_routes(instance, phase, routes, MIDDLE_M)
-    cheapest = instance.terms(encoded(instance, found.paths[:1]))[0]
-    if cheapest[_GROUND] == 0.0:
-        return found
-    tall = _lattice_routes(instance, phase, routes, HIGH_M)
-    paths = np.concatenate([found.paths, tall.paths])
-    order = np.argsort(instance.price(encoded(instance, paths), 1), kind="stable")
-    return Routes(paths[order[:routes]], found.legs + tall.legs)
-
-
-def _lattice_routes(instance: Instance, phase: FloatArray, routes: int, other_height_m: float) -> Routes:
     m, count, reach_m = instance.arrays, instance.dimensions // 3, float(instance.upper[0])
     spacing_m = max(m.height_m.shape) / _CELLS
-    node, columns = _nodes(m, spacing_m, phase, other_height_m)
+    node, columns = _nodes(m, spacing_m, rng)
     steps = _steps(m, reach_m, spacing_m)
     jump = steps[:, 0] * columns + steps[:, 1]
     price = np.full((len(node), len(steps)), np.inf, dtype=np.float32)
@@ -296,17 +283,16 @@ def _lattice_routes(instance: Instance, phase: FloatArray, routes: int, other_he
     return Routes(np.array(found), legs)
 
 
-def _nodes(m: MapArrays, spacing_m: float, phase: FloatArray, other_height_m: float) -> tuple[FloatArray, int]:
+def _nodes(m: MapArrays, spacing_m: float, rng: np.random.Generator) -> tuple[FloatArray, int]:
     """Return one node (N, 3) per cell of the lattice, row by row, and the number of columns.
 
     Every second one is the highest place of its cell, from where one sees over ridges.
     """
     south, east = m.height_m.shape[0] - 1.0, m.height_m.shape[1] - 1.0
-    first = 1.0 + phase * spacing_m
+    first = 1.0 + rng.random(2) * spacing_m
     x, y = np.arange(first[0], east, spacing_m), np.arange(first[1], south, spacing_m)
     node = np.empty((len(y), len(x), 3))
     node[..., 0], node[..., 1], node[..., 2] = x, y[:, None], MIDDLE_M
-    node[1::2, :, 2] = other_height_m
     half = max(int(0.5 * spacing_m), 1)
     for i in range(len(y)):
         for j in range(i % 2, len(x), 2):
@@ -365,13 +351,11 @@ def _edges(
     for v in range(nodes):
         a[v] = altitude_m(m, node[v, 0], node[v, 1], node[v, 2])
         stay[v] = leg_price(m, node[v, 0], node[v, 1], a[v], node[v, 0], node[v, 1], a[v])
-        stay[v] += _HEIGHT_WEIGHT * abs(node[v, 2] - MIDDLE_M)
     for v in range(nodes):
         if stay[v] >= PENALTY:
             continue  # nothing leads to where nobody may be
         i, j = v // columns, v % columns
         x, y, z = node[v]
-        off = _HEIGHT_WEIGHT * abs(z - MIDDLE_M)
         for k in range(steps.shape[0]):
             ui, uj = i - steps[k, 0], j - steps[k, 1]
             if ui < 0 or uj < 0 or ui >= rows or uj >= columns:
@@ -379,12 +363,12 @@ def _edges(
             u = ui * columns + uj
             if stay[u] >= PENALTY or not _fits(m, reach_m, x - node[u, 0], y - node[u, 1], z - node[u, 2]):
                 continue
-            price[v, k] = off + leg_price(m, node[u, 0], node[u, 1], a[u], x, y, a[v])
+            price[v, k] = leg_price(m, node[u, 0], node[u, 1], a[u], x, y, a[v])
             tilt[v, k] = _bin(a[v] - a[u], math.hypot(x - node[u, 0], y - node[u, 1]))
             legs += 1
         ex, ey = x - m.start[0], y - m.start[1]
         if _fits(m, reach_m, ex, ey, z - m.start[2]):
-            ends[0, v] = off + leg_price(m, m.start[0], m.start[1], start_a, x, y, a[v])
+            ends[0, v] = leg_price(m, m.start[0], m.start[1], start_a, x, y, a[v])
             end_tilt[0, v] = _bin(a[v] - start_a, math.hypot(ex, ey))
             legs += 1
         ex, ey = m.end[0] - x, m.end[1] - y

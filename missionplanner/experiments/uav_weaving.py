@@ -64,7 +64,7 @@ def search(instance: Instance, *, method: str, evaluations: int, seed: int, rout
     if method == "black":
         return _swarmed(instance, evaluations, seed, None)
     guesses = (routes or first_guesses(instance, seed)).paths
-    if method == "guessed":
+    if method == "guessed" or evaluations == 1:  # of which nothing is left for weaving
         return _swarmed(instance, evaluations, seed, encoded(instance, guesses))
     ledger = _Ledger(instance, evaluations)
     _weave(ledger, guesses, np.random.default_rng(seed))
