@@ -41,7 +41,7 @@ def bee_sources(dimensions: int, evaluations: int) -> int:
 def chains(dimensions: int, evaluations: int) -> int:
     """Return few chains: annealing needs long ones."""
     del dimensions, evaluations
-    return 10
+    return 5
 
 
 def wasps(dimensions: int, evaluations: int) -> int:
