@@ -20,6 +20,7 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from importlib.metadata import version as version_of_package
 from pathlib import Path
 from typing import Any
@@ -138,7 +139,7 @@ class _Kept:
         head = {"experiment": experiment, "version": version}
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
         if lines:
-            _check_head(path, _parsed(lines[0]), head)
+            _check_head(path, _parsed(lines[0]), head, empty=len(lines) == 1)
         for line in lines[1:]:
             found = _parsed(line)  # one may have been cut short
             if found is not None and isinstance(found.get("result"), dict):
@@ -156,7 +157,7 @@ class _Kept:
         self.results[key] = json.loads(line)["result"]  # the same whether just run or read again
 
 
-def _check_head(path: Path, found: dict[str, Any] | None, wanted: dict[str, str]) -> None:
+def _check_head(path: Path, found: dict[str, Any] | None, wanted: dict[str, str], *, empty: bool) -> None:
     other = "choose another folder by --output"
     if found is None or "experiment" not in found:
         raise MissionError(f"{path}: expected the runs of {wanted['experiment']}, got another file: {other}")
@@ -164,7 +165,7 @@ def _check_head(path: Path, found: dict[str, Any] | None, wanted: dict[str, str]
         raise MissionError(
             f"{path}: expected the runs of {wanted['experiment']}, got those of {found['experiment']}: {other}"
         )
-    if found != wanted:
+    if found != wanted and not empty:
         raise MissionError(
             f"{path}: expected runs of this software with these settings, got those of another version or of other "
             f"settings: {other}, or delete this file to begin anew"
@@ -262,20 +263,14 @@ def _begin() -> None:
 def _on_cluster(jobs: Sequence[Job], address: str, keep: Keep) -> list[Job]:
     """Run jobs on a Dask cluster; return those whose workers died again and again."""
     try:
-        import distributed  # noqa: PLC0415 - optional
+        distributed: Any = import_module("distributed")  # optional
     except ImportError:
         raise MissionError(
             "--cluster: expected dask.distributed, which is not installed: pip install 'missionplanner[cluster]'"
         ) from None
-    try:
-        client = distributed.Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
-        raise MissionError(
-            f"--cluster {address}: expected a Dask scheduler, nobody answered within {CONNECT_S:g} s: check the "
-            "address (tcp://HOST:PORT), or start one by `dask scheduler`"
-        ) from error
+    _knock(distributed, address)
     dead = []
-    with client:
+    with distributed.Client(address, timeout=CONNECT_S, set_as_default=False) as client:
         _check_cluster(client, address)
         executor = client.get_executor(pure=False)
         futures = {executor.submit(_call, job.function, job.arguments): job for job in jobs}
@@ -288,6 +283,21 @@ def _on_cluster(jobs: Sequence[Job], address: str, keep: Keep) -> list[Job]:
         finally:
             executor.shutdown(wait=False)
     return dead
+
+
+def _knock(distributed: Any, address: str) -> None:
+    """Refuse an address where no scheduler answers; a client that finds none takes long, and tells of it in its way."""
+    loop = distributed.utils.LoopRunner()
+    loop.start()
+    try:
+        loop.run_sync(distributed.comm.connect, address, timeout=CONNECT_S).abort()
+    except (OSError, ValueError) as error:
+        raise MissionError(
+            f"--cluster {address}: expected a Dask scheduler, nobody answered within {CONNECT_S:g} s: check the "
+            "address (tcp://HOST:PORT), or start one by `dask scheduler`"
+        ) from error
+    finally:
+        loop.stop()
 
 
 def _check_cluster(client: Any, address: str) -> None:

@@ -31,6 +31,7 @@ from missionplanner.experiments.scene_comparison import (
     Comparison,
     Problem,
     compare,
+    mission_text,
     table,
 )
 from missionplanner.experiments.scene_judge import xy
@@ -73,7 +74,7 @@ def main(
 ) -> dict[str, Any]:
     """Run the experiment and write its tables and figures to a folder; return its figures as JSON values."""
     ensure_writable(output)
-    text = mission.read_text(encoding="utf-8")
+    text = mission_text(mission)
     problems = [Problem("mountain", text, ALGORITHMS, k, planner=k == CONTROLS[0]) for k in CONTROLS]
     found = compare(
         output,

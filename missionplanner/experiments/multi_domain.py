@@ -16,6 +16,7 @@ from missionplanner.experiments.scene_comparison import (
     Comparison,
     Problem,
     compare,
+    mission_text,
     table,
 )
 from missionplanner.experiments.scene_runs import GRID
@@ -41,7 +42,7 @@ def main(
     (found,) = compare(
         output,
         "multi-domain",
-        [Problem("multi-domain", mission.read_text(encoding="utf-8"), ALGORITHMS)],
+        [Problem("multi-domain", mission_text(mission), ALGORITHMS)],
         QUICK_RUNS if quick else runs,
         workers=workers,
         cluster=cluster,

@@ -12,10 +12,19 @@ import numpy as np
 
 from missionplanner.experiments import campaign
 from missionplanner.experiments.contenders import find_contender
-from missionplanner.experiments.scene_runs import CONTROLS, EVALUATIONS, path_of, plan_scene, quartiles, search_fleet
+from missionplanner.experiments.scene_runs import (
+    CONTROLS,
+    EVALUATIONS,
+    path_of,
+    plan_scene,
+    quartiles,
+    resolved,
+    search_fleet,
+)
 from missionplanner.experiments.statistics import friedman, paired
 from missionplanner.files import write_csv
 from missionplanner.geodesy import FloatArray
+from missionplanner.mission import load_mission
 
 Progress = Callable[[str, float], None]
 
@@ -157,6 +166,7 @@ def compare(
     jobs: dict[tuple[int, str, int], campaign.Job] = {}
     planned = campaign.version_of({}, _planner_modules())[:10]
     for k, problem in enumerate(problems):
+        resolved(problem.text)  # what is wrong with it is told before any work
         digests = {name: find_contender(name).digest() for name in problem.algorithms}
         for seed in range(runs):
             for name in problem.algorithms:
@@ -194,6 +204,18 @@ def compare(
         )
         for k, problem in enumerate(problems)
     ]
+
+
+def mission_text(path: Path) -> str:
+    """Return the text of a mission file, once it has been read as one.
+
+    Raises
+    ------
+    MissionError
+        It cannot be.
+    """
+    load_mission(path)
+    return path.read_text(encoding="utf-8")
 
 
 def _planner_modules() -> list[str]:

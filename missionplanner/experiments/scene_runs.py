@@ -109,7 +109,8 @@ def price_of(scene: Scene, vehicle: int, fellows: Sequence[FloatArray]) -> Price
 def resolved(text: str) -> tuple[Scene, Judge]:
     """Return the scene of a mission's text, and its judge."""
     question = parse_mission(text, "mission")
-    return build_scene(question, Path()), Judge(question)
+    judge = Judge(question)  # refuses what needs files
+    return build_scene(question, Path()), judge
 
 
 def search_fleet(

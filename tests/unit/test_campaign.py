@@ -119,6 +119,10 @@ def test_other_results_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MissionError, match=r"another version .*delete this file"):
         run(squares(1), tmp_path, experiment="squares", version="2")
     assert runs(tmp_path) == before
+    (tmp_path / RUNS_NAME).write_text(f"{before[0]}\n", encoding="utf-8")
+    assert run(squares(1), tmp_path, experiment="squares", version="2") == run(
+        squares(1), tmp_path / "b", experiment="squares", version="2"
+    )  # without runs there is nothing to mix
     (tmp_path / RUNS_NAME).write_text("anything\n", encoding="utf-8")
     with pytest.raises(MissionError, match="got another file"):
         run(squares(1), tmp_path, experiment="squares", version="1")
