@@ -233,11 +233,13 @@ _REACH_MIN_M, _REACH_MAX_M = 0.5, 20.0  # ... within these
 _SLOPE_REACH = 0.03  # rad: barriers of the climb limits
 _SHIFT = 0.5  # weights: barriers end so far below the margin, for paths that touch it; steps are judged by the margin
 _HAIR_M = 1e-6  # what rounding may take from a path that touches it
-_HOLD = 0.004  # keeps points from sliding off along straight ways, where nothing else holds them
+_HOLD = 0.004  # keeps points from sliding off along their legs, where nothing else holds them
 _BACKTRACKS = 12
+_FARTHEST = 0.01  # of the path's length: a step moves no point further
 _GOLDEN = 0.3819660112501051
 _GOLDEN_STEPS = 26
 _PLACES = 8
+_APART = 1e-3  # of a leg: places that close are one
 _SLOPE_M = 1e-3  # step of numerical gradients
 _CUT_FIRST, _CUT_NEXT, _CUT_TRIALS = 0.3, 0.7, 9
 _BAND = 6
@@ -286,11 +288,18 @@ def _room(space: SpaceArrays, rules: Rules, i: int, x: float, y: float, z: float
 
 
 @njit(**INNER)
+def _beside_upright(o: kernels.ObstacleArrays, i: int, a: FloatArray, b: FloatArray) -> bool:
+    """Return whether solid ``i`` is a cylinder that ends no lower than a leg."""
+    beside: bool = o.kind[i] == kernels.CYLINDER and max(a[2], b[2]) <= o.params[i, 3]
+    return beside
+
+
+@njit(**INNER)
 def _nearest(space: SpaceArrays, rules: Rules, i: int, a: FloatArray, b: FloatArray) -> float:
     """Return where along a-b solid ``i`` (-1: fence and area) is nearest; exact for upright cylinders."""
     o = space.obstacles
     ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
-    if i >= 0 and o.kind[i] == kernels.CYLINDER and max(a[2], b[2]) <= o.params[i, 3]:
+    if i >= 0 and _beside_upright(o, i, a, b):
         square = ex * ex + ey * ey
         along = (o.params[i, 0] - a[0]) * ex + (o.params[i, 1] - a[1]) * ey
         return min(1.0, max(0.0, along / square)) if square > 0.0 else 0.0
@@ -321,18 +330,28 @@ def _nearest(space: SpaceArrays, rules: Rules, i: int, a: FloatArray, b: FloatAr
 def _solid_barrier(
     space: SpaceArrays, rules: Rules, i: int, a: FloatArray, b: FloatArray, reach_m: float, add: _Sum, derive: bool
 ) -> float:
-    """Return the barrier of a leg beside solid ``i`` (-1: fence and area)."""
-    s = _nearest(space, rules, i, a, b)
-    x, y, z = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
-    room = _room(space, rules, i, x, y, z)
-    if derive and room < reach_m:
-        h = _SLOPE_M
-        two = 2.0 * h
-        add.normal[0] = (_room(space, rules, i, x + h, y, z) - _room(space, rules, i, x - h, y, z)) / two
-        add.normal[1] = (_room(space, rules, i, x, y + h, z) - _room(space, rules, i, x, y - h, z)) / two
-        add.normal[2] = (_room(space, rules, i, x, y, z + h) - _room(space, rules, i, x, y, z - h)) / two
-    barrier: float = _barrier(room, reach_m, s, add, derive)
-    return barrier
+    """Return the barriers of a leg beside solid ``i`` (-1: fence and area), at its nearest place.
+
+    Where it may have flat sides, also at places all along: beside one, the nearest place jumps from end to end.
+    """
+    nearest = _nearest(space, rules, i, a, b)
+    is_round = i >= 0 and (space.obstacles.kind[i] == kernels.RADAR or space.obstacles.kind[i] == kernels.MARINE)
+    is_round = is_round or (i >= 0 and _beside_upright(space.obstacles, i, a, b))
+    total: float = 0.0
+    for n in range(1 if is_round else _PLACES + 2):
+        s = nearest if n == 0 else (n - 1) / _PLACES
+        if n > 0 and abs(s - nearest) < _APART:
+            continue
+        x, y, z = a[0] + s * (b[0] - a[0]), a[1] + s * (b[1] - a[1]), a[2] + s * (b[2] - a[2])
+        room = _room(space, rules, i, x, y, z)
+        if derive and room < reach_m:
+            h = _SLOPE_M
+            two = 2.0 * h
+            add.normal[0] = (_room(space, rules, i, x + h, y, z) - _room(space, rules, i, x - h, y, z)) / two
+            add.normal[1] = (_room(space, rules, i, x, y + h, z) - _room(space, rules, i, x, y - h, z)) / two
+            add.normal[2] = (_room(space, rules, i, x, y, z + h) - _room(space, rules, i, x, y, z - h)) / two
+        total += _barrier(room, reach_m, s, add, derive)
+    return total
 
 
 @njit(**INNER)
@@ -481,8 +500,8 @@ def _derive(
                 across = (1.0 if i % 3 == j % 3 else 0.0) - t[i % 3] * t[j % 3]
                 same = (i >= 3) == (j >= 3)
                 band[row - col, col] += weight * add.hessian[i, j] + (across if same else -across) / length
-                if i == j:
-                    band[0, col] += _HOLD / length
+                if same:
+                    band[row - col, col] += _HOLD / length * t[i % 3] * t[j % 3]
     return total
 
 
@@ -548,7 +567,10 @@ def _descend(
             promised -= gradient[k] * step[k]
         if promised < settled_m:
             return
-        share = 1.0
+        farthest = 0.0
+        for k in range(count):
+            farthest = max(farthest, abs(step[k]))
+        share = min(1.0, _FARTHEST * merit / farthest)
         for _ in range(_BACKTRACKS):
             trial[0] = p[0]
             trial[size - 1] = p[size - 1]
