@@ -145,6 +145,25 @@ def test_first_guesses_are_free_of_penalties_and_nearly_as_cheap_as_can_be(seed:
     assert instance.price(x).min() < 1.02 * blind.price
 
 
+def test_over_a_plain_the_way_is_straight() -> None:
+    instance = barred(np.zeros((SIZE, SIZE)), [])
+    straight = 5.0 * math.dist(START, END)
+    routes = lattice_routes(instance, routes=3, rng=np.random.default_rng(0))
+    assert straight <= instance.price(encoded(instance, routes.paths))[0] < 1.005 * straight
+    assert straight <= search(instance, method="grey", evaluations=2_500, seed=0).price < 1.0001 * straight
+
+
+def test_past_one_disc_the_way_is_a_tangent() -> None:
+    # Off the disc by all that costs something, and by nothing more: tangents and the arc between them.
+    radius, middle = 40.0, 0.5 * (START + END)
+    instance = barred(np.zeros((SIZE, SIZE)), [(middle[0], middle[1], 0.0, radius)])
+    half = 0.5 * math.dist(START, END)
+    taut = [2.0 * (math.sqrt(half**2 - r**2) + r * math.asin(r / half)) for r in (radius + 1.0, radius + 11.0)]
+    found = search(instance, method="grey", evaluations=5_000, seed=0)
+    assert instance.free(found.point[None])[0]
+    assert 5.0 * taut[0] < found.price < 5.0 * taut[1] * 1.005
+
+
 def test_routes_go_through_every_gap_of_a_wall() -> None:
     flat = np.zeros((SIZE, SIZE))
     across = [(x, 250.0 - x) for x in np.arange(0.0, 260.0, 12.0)]
