@@ -282,7 +282,7 @@ def nearest_hard(o: ObstacleArrays, x: float, y: float, z: float, enough: float)
     column = grid_square(x, g.west, g.cell_m, columns)
     best = enough
     for ring in range(max(rows, columns)):
-        if (ring - 1) * g.cell_m > best:
+        if ring > 0 and (ring - 1) * g.cell_m > best:  # who is inside a solid is in one of its squares
             break
         for r in range(max(row - ring, 0), min(row + ring, rows - 1) + 1):
             step = 1 if abs(r - row) == ring or ring == 0 else 2 * ring  # all of the ring's ends, two of its sides
