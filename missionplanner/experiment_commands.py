@@ -407,3 +407,11 @@ def kernel(
         )
 
     run("kernel", output, as_json, measure)
+
+
+@app.command()
+def growth(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json: AsJson = False) -> None:
+    """Measure how planning grows with vehicles, obstacles and terrain."""
+    from missionplanner.experiments import growth as experiment
+
+    run("growth", output, as_json, lambda folder, show: experiment.main(folder, seed=seed, quick=quick, progress=show))
