@@ -229,7 +229,8 @@ def report(measured: Sequence[Measured]) -> str:
         "# Growth of planning",
         machine(),
         "A plan is searched, timed, proven and certified; every size in a process of its own, when all is compiled. "
-        "Processor time is of all cores together. Memory is the most the process held beyond what it held before. Direct returns are waived.",
+        "Processor time is of all cores together. Memory is the most the process held beyond what it held before. "
+        "Direct returns are waived.",
     ]
     for what, title in TITLES.items():
         found = [m for m in measured if m.what == what]
