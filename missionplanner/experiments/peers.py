@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
@@ -30,8 +29,9 @@ from missionplanner.errors import MissionError
 from missionplanner.experiments import campaign, scene_runs, uav_objective, uav_search
 from missionplanner.experiments.contenders import INSTALL, PEERS, Contender, Tally, find_contender, ours
 from missionplanner.experiments.document import machine
+from missionplanner.experiments.scene_figures import COLOURS, new_figure, save_png
 from missionplanner.experiments.statistics import friedman, median_interval, paired
-from missionplanner.files import replacing, write_atomic, write_csv
+from missionplanner.files import write_atomic, write_csv
 from missionplanner.mission import load_mission
 
 Progress = Callable[[str, float], None]
@@ -405,8 +405,7 @@ def _write(folder: Path, results: Results) -> None:
         ],
     )
     write_atomic(folder / "results.md", table(results))
-    with replacing(folder / "gap.png") as draft:
-        _drawn(results).savefig(draft, format="png", metadata={"Software": None})
+    save_png(folder / "gap.png", _drawn(results))
 
 
 def table(results: Results) -> str:
@@ -487,7 +486,6 @@ def _problem_lines(results: Results, problems: Sequence[str], budgets: Sequence[
     return lines
 
 
-_COLOURS = {BEST: "#d55e00", PAPER_FORM: "#e69f00"}
 _PEER_COLOURS = ("#0072b2", "#009e73", "#cc79a7", "#56b4e9", "#222222", "#8c6d31")
 
 
@@ -499,8 +497,7 @@ def _drawn(results: Results) -> Figure:
     panels += [([name], 0 if results.seconds is not None else SCENE_BUDGET, name) for name in results.scenes]
     columns = min(2, len(panels))
     rows = -(-len(panels) // columns)
-    figure = Figure(figsize=(4.6 * columns + 0.4, 3.4 * rows), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(4.6 * columns + 0.4, 3.4 * rows)
     every = np.atleast_1d(figure.subplots(rows, columns)).ravel()
     for axes, (problems, budget, title) in zip(every, panels, strict=False):
         _panel(axes, results, problems, budget)
@@ -515,7 +512,7 @@ def _drawn(results: Results) -> Figure:
 def _panel(axes: Axes, results: Results, problems: Sequence[str], budget: int) -> None:
     rows = summary(results, problems, budget)
     strongest = [r["contender"] for r in rows if not r["ours"]][: len(_PEER_COLOURS)]
-    colours = {**dict(zip(strongest, _PEER_COLOURS, strict=False)), **_COLOURS}
+    colours = {**dict(zip(strongest, _PEER_COLOURS, strict=False)), **{name: COLOURS[name] for name in OURS}}
     longest = max(run.curve[-1][0] for p in problems for r in rows for run in results.runs[p, r["contender"], budget])
     timed = results.seconds is not None
     grid = (

@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missionplanner.experiments import campaign
 from missionplanner.experiments.contenders import INSTALL, Contender, find_contender, ours
 from missionplanner.experiments.document import machine
+from missionplanner.experiments.scene_figures import COLOURS, new_figure, save_png
 from missionplanner.experiments.statistics import Comparison, Friedman, friedman, holm, paired, rank_sum
 from missionplanner.experiments.test_functions import FUNCTIONS, BenchmarkFunction, find_function
-from missionplanner.files import replacing, write_atomic, write_csv
+from missionplanner.files import write_atomic, write_csv
 
 Progress = Callable[[str, float], None]
 FloatArray = npt.NDArray[np.float64]
@@ -318,9 +318,8 @@ def _write(folder: Path, results: Results) -> None:
         ],
     )
     write_atomic(folder / "results.md", table(results))
-    for name, drawn in (("convergence", _convergence), ("ranks", _ranks)):
-        with replacing(folder / f"{name}.png") as draft:
-            drawn(results).savefig(draft, format="png", metadata={"Software": None})
+    save_png(folder / "convergence.png", _convergence(results))
+    save_png(folder / "ranks.png", _ranks(results))
 
 
 def table(results: Results) -> str:
@@ -425,13 +424,7 @@ def _short(value: float) -> str:
 
 
 _COLOURS = {
-    BEST: "#d55e00",
-    PAPER_FORM: "#e69f00",
-    "pso-sa": "#0072b2",
-    "abc-sa": "#009e73",
-    "qpso": "#cc79a7",
-    "pso": "#56b4e9",
-    "avoa": "#8c6d31",
+    **{name: COLOURS[name] for name in (BEST, *PAPER_ALGORITHMS)},
     **dict.fromkeys(PEERS, "#222222"),
 }
 _DASHES = {PEERS[0]: "-", PEERS[1]: "--", PEERS[2]: ":"}
@@ -441,8 +434,7 @@ def _convergence(results: Results) -> Figure:
     """Draw the median excess over evaluations, a panel per function."""
     columns = 5
     rows = -(-(len(results.functions) + 1) // columns)
-    figure = Figure(figsize=(11.0, 2.1 * rows), dpi=110, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(11.0, 2.1 * rows)
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True)).ravel()
     grid = _grid(results.evaluations)
     for axes, f in zip(panels, results.functions, strict=False):
@@ -479,8 +471,7 @@ def _ranks(results: Results) -> Figure:
     ranks = friedman(results.table(np.median)).ranks
     runs = friedman(results.blocks()).ranks
     order = np.argsort(ranks, kind="stable")
-    figure = Figure(figsize=(6.0, 0.24 * len(order) + 0.8), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(6.0, 0.24 * len(order) + 0.8)
     axes = figure.subplots()
     for row, k in enumerate(order):
         name = results.algorithms[k]

@@ -21,12 +21,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from missionplanner.experiments.document import machine
+from missionplanner.experiments.scene_figures import new_figure, save_png
 from missionplanner.experiments.test_functions import BenchmarkFunction, find_function
-from missionplanner.files import ensure_writable, replacing, write_atomic, write_csv
+from missionplanner.files import ensure_writable, write_atomic, write_csv
 from missionplanner.search.registry import algorithms
 from missionplanner.search.run import minimise
 
@@ -159,8 +159,7 @@ def _write(folder: Path, t0_s: float, evaluations: int, runs: int, found: list[C
         [[c.algorithm, c.rows, t0_s, c.t1_s, c.t2_s, c.t2_spread_s, c.value(t0_s)] for c in found],
     )
     write_atomic(folder / "results.md", table(t0_s, evaluations, runs, found))
-    with replacing(folder / "complexity.png") as draft:
-        _drawn(t0_s, found).savefig(draft, format="png", metadata={"Software": None})
+    save_png(folder / "complexity.png", _drawn(t0_s, found))
 
 
 def table(t0_s: float, evaluations: int, runs: int, found: list[Complexity]) -> str:
@@ -196,8 +195,7 @@ def table(t0_s: float, evaluations: int, runs: int, found: list[Complexity]) -> 
 def _drawn(t0_s: float, found: list[Complexity]) -> Figure:
     """Draw CB, the cheapest algorithm first."""
     order = sorted(found, key=lambda c: c.value(t0_s))
-    figure = Figure(figsize=(6.0, 0.24 * len(order) + 0.8), dpi=120, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(6.0, 0.24 * len(order) + 0.8)
     axes = figure.subplots()
     colours = ["#d55e00" if c.algorithm in _MARKED else "#8fa3b0" for c in order]
     bars = axes.barh(range(len(order)), [c.value(t0_s) for c in order], color=colours, height=0.7)
