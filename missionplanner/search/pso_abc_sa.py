@@ -1,184 +1,405 @@
-"""PSO-ABC-SA: a particle swarm in groups of bees with annealing (PAPER.md section 4, eqs 25-33, sound reading).
+"""PSO-ABC-SA in its best form: bees in groups with learned factors, a leader that flies, annealing between them.
 
-Every iteration ranks the particles by their best costs and deals them into groups, best first. In each group
+The idea is the paper's (PAPER.md section 4): groups with three roles of bees, two learning factors, Metropolis
+acceptance. What each is made of has been chosen by measurement (``missionplanner experiment ablation``).
 
-* the *leader* (the group's best) flies by (25): drawn to its own best point and to the best point that is not its own;
-* *scouts* fly by (30, 31): drawn to the group's and to the swarm's best;
-* *employed* bees search around their own best point, *onlookers* around one chosen by fitness (27), both by (24) with
-  a pull towards one of the swarm's better points;
-* a bee without success for ``patience`` iterations is exhausted and starts anew: a leader within its group's bounds
-  (26), any other anywhere in the box (23). The swarm's best is never exhausted.
+*Groups.* The first population is dealt into groups that keep apart until ``apart`` of the budget is spent, and are one
+group from then on; there are the more of them, the more evaluations there are per dimension. Every group shrinks to its
+best few as the budget is spent (Tanabe & Fukunaga 2014, L-SHADE, doi:10.1109/CEC.2014.6900380).
 
-Then annealing (32, 33): a particle that got worse is kept with probability ``exp(-rise / (T * spread))``. The paper's
-T = 10,000 accepts anything; here T falls from 1 and ``spread`` is the swarm's own median deviation of costs, so the
-rule means the same for every cost function.
+*Employed bees.* Each searches from its own source x (24, 30)::
 
-Learning factors (28, 29) without their unbounded growth: with f the cost above the swarm's best, divided by the median
-and cut to [0, 1], ``C1 = c exp(1 / (1 + f) - 1)`` lies in [0.60 c, c] and ``C2 = c exp(|f_i - f_k| - 1)`` in
-[0.36 c, c]; C2 shrinks as a group converges. With c = 1.5, C1 + C2 <= 3 is inside the swarm's stable range once
-inertia is below 0.78; until then the velocity limit bounds the flight.
+    v = x + C1 (better - x) + C2 (one - other)
+
+``better`` is one of the group's best, ``one`` a fellow, ``other`` a fellow or a source that was given up not long ago
+(current-to-pbest/1 with an archive: Zhang & Sanderson 2009, JADE, doi:10.1109/TEVC.2009.2014613). The learning factors
+C1 and C2 lie in (0, 0.7]. Both, and the share of coordinates that change, are drawn around what led to success in the
+group lately: memories as in jSO (Brest, Maucec & Boskovic 2017, doi:10.1109/CEC.2017.7969456), whose last entry stays
+at 0.9. Coordinates change one by one, or as a block of neighbours (coordinates next to each other often belong
+together: waypoints of a path); the more successful of the two is used more. Bees stop at the walls: many an optimum
+lies there. A better source replaces the old one.
+
+*The leader* takes off from the best source and flies by CMA-ES (Hansen 2016, arXiv:1604.00772): its velocity is the
+evolution path, its coordinate system that of the better half of the bees at first, then its own. Bees and leader share
+the evaluations by what each has gained lately for each it was given; a better point of the leader's replaces the worst
+bee's source.
+
+*Scouts, annealed.* A leader that has been behind the bees for ``patience`` generations is judged by the Metropolis rule
+(32, 33): it flies on with probability ``exp(-rise / (T * spread))``, where T falls from 1 to 0 over the budget and
+``spread`` is the bees' median deviation of costs. Otherwise, and when its flight has come to rest, it is recalled, and
+a new one takes off as scout from where the bees are by then (26).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from missionplanner.search.base import BoolArray, FloatArray, IntArray
-from missionplanner.search.pso import fly
+from missionplanner.search.base import FloatArray, IntArray
+from missionplanner.search.moves import accepted, spread
 
-_ELITE_SHARE = 8  # bees are pulled towards the best eighth of the swarm
+_WIDTH = 0.1  # of the draws around the memories, as in JADE
+_FIRST_FACTOR, _FIRST_SHARE = 0.5, 0.8  # the memories' first entries; the last one stays at 0.9
+_MEMORY, _KEPT = 5, 0.9
+_ELITE, _ELITE_LATE = 0.2, 0.05  # of the group: those that a bee may be drawn to, at first and at the end
+_ARCHIVE = 1.5  # sources given up that are remembered, per bee
+_BLOCKS_LEAST = 0.1
+_TURN = 0.1  # how fast the share of blocks follows their success
+_HALF_LIFE = 30.0  # evaluations per dimension after which a gain counts half
+_BEES_LEAST = 8  # in a group, or there is one group less
+_LEADER_WIDTH = 0.5  # first step over the bees' standard deviation
+_LEADER_FIRST = 0.1  # of the box: where the bees have none
 
 
 @dataclass(frozen=True, slots=True)
 class PsoAbcSaSettings:
-    """The paper's parameters where they are sound, ours where it gives none. Lengths are shares of the box."""
+    """What can be switched off or changed, for the ablation; the defaults are the algorithm.
 
-    groups: int = 3
-    inertia: float = 0.9
-    inertia_decay: float = 0.99
-    inertia_min: float = 0.3
-    learning: float = 1.5
-    velocity_max: float = 0.1
-    temperature: float = 1.0
-    temperature_decay: float = 0.97
-    patience: int = 30
-    scout_share: float = 0.5
-    bee_dimensions: float = 0.9  # share of coordinates that half of the bees move; the other half move about one
+    Attributes
+    ----------
+    groups : keep the bees in groups at first. ``apart`` : share of the budget until they are one.
+    memory : learn the factors and the share of coordinates; else they stay at their first values.
+    archive : differences to sources that were given up.
+    blocks : change blocks of neighbouring coordinates as well.
+    walls : stop at walls; else half way to them.
+    shrink : exponent of the population's decline; 0 for none. ``smallest`` : bees left in the end.
+    flight : let a leader fly. ``share_least`` : of the evaluations, for bees as for the leader.
+    scouts : recall leaders that are behind. ``annealing`` : by the Metropolis rule; else always.
+    """
+
+    groups: bool = True
+    apart: float = 0.3
+    memory: bool = True
+    factor_most: float = 0.7
+    archive: bool = True
+    blocks: bool = True
+    walls: bool = True
+    shrink: float = 1.5
+    smallest: int = 5
+    flight: bool = True
+    take_off: float = 0.4
+    share_least: float = 0.15
+    scouts: bool = True
+    annealing: bool = True
+
+
+def groups_for(dimensions: int, evaluations: int) -> int:
+    """Return how many groups there are: two for 333 evaluations per dimension, twice as many for four times those."""
+    return int(min(max(round(2.0 * math.sqrt(evaluations / (333.0 * dimensions))), 1), 12))
+
+
+def population_for(dimensions: int, evaluations: int) -> int:
+    """Return the size of the first population: 2 bees per dimension and group, more when evaluations abound.
+
+    The growth with the evaluations is that of ARRDE (Muzakka et al. 2025, minionpy), per group.
+    """
+    groups = groups_for(dimensions, evaluations)
+    plenty = max(math.log10(evaluations / (groups * dimensions)) - 2.0, 0.0)
+    bees = (2.0 + 5.756 * plenty**1.609) * dimensions
+    return groups * int(max(min(bees, evaluations / (12.0 * groups)), _BEES_LEAST))
 
 
 class PsoAbcSa:
-    """Groups of leaders, scouts, employed bees and onlookers, annealed."""
+    """Bees and a leader that share the evaluations."""
 
     def __init__(
         self, initial: FloatArray, evaluations: int, rng: np.random.Generator, settings: PsoAbcSaSettings | None = None
     ) -> None:
-        del evaluations  # the schedule is per iteration, as printed
-        self._settings = settings or PsoAbcSaSettings()
-        self._rng = rng
-        population = len(initial)
-        self._position = initial.copy()
-        self._velocity = np.zeros_like(initial)
-        self._cost = np.full(population, np.inf)
-        self._best_position = initial.copy()
-        self._best_cost = np.full(population, np.inf)
-        self._idle = np.zeros(population, dtype=np.intp)
-        self._inertia = self._settings.inertia
-        self._temperature = self._settings.temperature
-        self._candidate = initial.copy()
-        self._first = True
+        self._settings, self._evaluations, self._rng = settings or PsoAbcSaSettings(), evaluations, rng
+        self._bees = _Bees(initial, evaluations, rng, self._settings)
+        self._leader: _Leader | None = None
+        self._flies = False
+        self._used = 0
+        self._behind = 0
+        self._spent, self._gained = np.ones(2), np.zeros(2)  # by the bees and by the leader, lately
+        self._leader_share = 0.5
+        self._half_life = _HALF_LIFE * initial.shape[1]
+        self._patience = 10 + initial.shape[1]
 
     def ask(self) -> FloatArray:
-        """Return one candidate per particle (P, D)."""
-        if self._first:
-            self._first = False
-            return self._candidate
-        s, population = self._settings, len(self._position)
-        order = np.argsort(self._best_cost, kind="stable")
-        rank = np.argsort(order, kind="stable")
-        groups = min(s.groups, population)
-        group = rank % groups
-        leads = rank < groups
-        standing = self._standing(order)
-        role = self._rng.random(population)
-        flies = leads | (role < s.scout_share)
-        onlooks = ~flies & (role < 0.5 * (1.0 + s.scout_share))
-
-        flown, velocity = self._flight(order, group, leads, standing)
-        self._velocity = np.where(flies[:, None], velocity, self._velocity)
-        candidate = np.where(flies[:, None], flown, self._foraging(order, onlooks, standing))
-        exhausted = (self._idle > s.patience) & (rank > 0)
-        if exhausted.any():
-            self._start_anew(candidate, exhausted, leads, group)
-        self._candidate = candidate
-        return candidate
+        """Return the bees' next points (P', D), or the leader's."""
+        s = self._settings
+        if self._leader is None and s.flight and self._used >= s.take_off * self._evaluations:
+            self._leader = self._bees.leader()
+        self._flies = self._leader is not None and self._spent[1] < self._leader_share * self._spent.sum()
+        if self._leader is not None and self._flies:
+            return self._leader.ask()
+        return self._bees.ask(self._progress)
 
     def tell(self, cost: FloatArray) -> None:
-        """Keep what is better, and some of what is worse (32, 33)."""
+        """Take the costs to those who asked, and settle who gets how many of the next evaluations."""
+        self._used += len(cost)
+        before = self._bees.best_cost
+        if self._leader is not None and self._flies:
+            self._leader.tell(cost)
+            self._bees.learn(self._leader.best, self._leader.best_cost)
+            self._judge(self._leader)
+        else:
+            self._bees.tell(cost)
+        if self._leader is not None or self._flies:
+            self._settle(len(cost), before - self._bees.best_cost if before < np.inf else 0.0)
+
+    @property
+    def _progress(self) -> float:
+        return min(self._used / self._evaluations, 1.0)
+
+    def _settle(self, evaluations: int, gain: float) -> None:
+        fade = 0.5 ** (evaluations / self._half_life)
+        self._spent *= fade
+        self._gained *= fade
+        self._spent[int(self._flies)] += evaluations
+        self._gained[int(self._flies)] += gain
+        rate = self._gained / np.maximum(self._spent, 1.0)
+        if 0.0 < rate.sum() < np.inf:
+            least = self._settings.share_least
+            self._leader_share = float(min(max(rate[1] / rate.sum(), least), 1.0 - least))
+
+    def _judge(self, leader: _Leader) -> None:
+        """Recall the leader when it rests, or when it is behind and the Metropolis rule says so."""
+        self._behind = self._behind + 1 if leader.best_cost > self._bees.best_cost else 0
+        recalled = leader.rests
+        if self._settings.scouts and self._behind > self._patience:
+            temperature = (1.0 - self._progress) * spread(self._bees.cost) if self._settings.annealing else 0.0
+            found, best = np.array([leader.best_cost]), np.array([self._bees.best_cost])
+            recalled |= not accepted(self._rng, found, best, temperature)[0]
+            self._behind = 0
+        if recalled:
+            self._leader, self._behind = self._bees.leader(), 0
+
+
+class _Bees:
+    """Sources (P, D) with their costs (P,), in groups, and what the groups have learned."""
+
+    def __init__(
+        self, initial: FloatArray, evaluations: int, rng: np.random.Generator, settings: PsoAbcSaSettings
+    ) -> None:
+        self._rng, self._settings = rng, settings
+        first, dimensions = initial.shape
+        wanted = groups_for(dimensions, evaluations) if settings.groups else 1
+        self._groups = max(1, min(wanted, first // _BEES_LEAST))
+        self._group = np.arange(first) % self._groups
+        self._first = first
+        self.source = initial.copy()
+        self.cost = np.full(first, np.inf)
+        self.best_cost = np.inf
+        # (3, G, H): of C1, of C2, and of the share of coordinates that change
+        self._memory = np.full((3, self._groups, _MEMORY + 1), _FIRST_FACTOR)
+        self._memory[2] = _FIRST_SHARE
+        if settings.memory:
+            self._memory[:, :, _MEMORY] = _KEPT
+        self._oldest = np.zeros(self._groups, dtype=np.intp)
+        self._given_up = np.empty((0, dimensions))
+        self._block_share = 0.5 if settings.blocks and dimensions > 2 else 0.0
+        self._candidate = self.source
+        self._drawn = np.zeros((3, first))
+        self._in_block = np.zeros(first, dtype=np.bool_)
+        self._priced = False
+
+    def ask(self, progress: float) -> FloatArray:
+        """Return a candidate for every bee."""
+        if not self._priced:
+            return self._candidate
+        if progress >= self._settings.apart and self._groups > 1:
+            self._groups = 1
+            self._group[:] = 0
+        self._shrink(progress)
+        self._drawn = self._draw(progress)
+        self._candidate = self._search(progress)
+        return self._candidate
+
+    def tell(self, cost: FloatArray) -> None:
+        """Keep what is no worse; learn from what is better."""
+        if not self._priced:
+            self._priced = True
+            self.cost = cost.copy()
+            self.best_cost = float(cost.min())
+            return
+        better, kept = cost < self.cost, cost <= self.cost
+        gain = np.where(better, np.where(np.isfinite(self.cost), self.cost - cost, 1.0), 0.0)
+        if self._settings.memory:
+            self._learn_factors(gain)
+        self._learn_blocks(gain)
+        if self._settings.archive:
+            self._given_up = np.concatenate([self._given_up, self.source[better]])
+        self.source[kept] = self._candidate[kept]
+        self.cost[kept] = cost[kept]
+        self.best_cost = float(self.cost.min())
+
+    def learn(self, point: FloatArray, cost: float) -> None:
+        """Put a point that is better than all in the place of the worst."""
+        if cost < self.best_cost:
+            worst = int(np.argmax(self.cost))
+            self.source[worst], self.cost[worst] = point, cost
+            self.best_cost = cost
+
+    def leader(self) -> _Leader:
+        """Return a leader about to take off from the best source, with the better half around it."""
+        order = np.argsort(self.cost, kind="stable")
+        around = self.source[order[: max(2, len(order) // 2)]]
+        return _Leader(around, float(self.cost[order[0]]), self._rng)
+
+    def _shrink(self, progress: float) -> None:
+        """Leave every group its best bees."""
         s = self._settings
-        known = np.isfinite(self._cost)
-        spread = _median(np.abs(self._cost[known] - _median(self._cost[known]))) if known.any() else 0.0
-        worse = known & (cost > self._cost)
-        likelihood = np.where(worse, 0.0, 1.0)
-        if self._temperature * spread > 0.0:
-            with np.errstate(over="ignore", under="ignore"):
-                likelihood[worse] = np.exp(-(cost[worse] - self._cost[worse]) / (self._temperature * spread))
-        kept = self._rng.random(len(cost)) < likelihood
-        self._position[kept] = self._candidate[kept]
-        self._cost[kept] = cost[kept]
-        better = cost < self._best_cost
-        self._best_position[better] = self._candidate[better]
-        self._best_cost[better] = cost[better]
-        self._idle = np.where(better, 0, self._idle + 1)
-        self._temperature *= s.temperature_decay
-        self._inertia = max(self._inertia * s.inertia_decay, s.inertia_min)
+        bees = round(s.smallest + (self._first / self._groups - s.smallest) * (1.0 - progress) ** s.shrink)
+        order = np.argsort(self.cost, kind="stable")
+        stay = np.concatenate([order[self._group[order] == g][: max(bees, s.smallest)] for g in range(self._groups)])
+        if len(stay) < len(order):
+            stay.sort()
+            self.source, self.cost, self._group = self.source[stay], self.cost[stay], self._group[stay]
+        room = round(_ARCHIVE * len(self.cost))
+        if len(self._given_up) > room:
+            self._given_up = self._given_up[np.sort(self._rng.permutation(len(self._given_up))[:room])]
 
-    def _standing(self, order: IntArray) -> FloatArray:
-        """Return every particle's cost above the swarm's best, 0 to 1 (the median and worse)."""
-        known = np.isfinite(self._best_cost)
-        if not known[order[0]]:
-            return np.zeros(len(order))
-        rise = np.where(known, self._best_cost - self._best_cost[order[0]], 0.0)
-        median = _median(rise[known])
-        scaled = np.minimum(rise / median, 1.0) if median > 0.0 else np.minimum(rise, 1.0)
-        return np.where(known, scaled, 1.0)
+    def _draw(self, progress: float) -> FloatArray:
+        """Return C1, C2 and the share of coordinates that change, for every bee (3, P)."""
+        bees = len(self.cost)
+        entry = self._memory[:, self._group, self._rng.integers(0, _MEMORY + 1, bees)]
+        drawn = np.empty((3, bees))
+        drawn[:2] = np.minimum(positive_cauchy(self._rng, entry[:2]), self._settings.factor_most)
+        # few coordinates at a time find what separates, but not while there is much to explore
+        least = 0.7 if progress < 0.25 else 0.6
+        drawn[2] = np.clip(entry[2] + _WIDTH * self._rng.standard_normal(bees), least, 1.0)
+        return drawn
 
-    def _flight(
-        self, order: IntArray, group: IntArray, leads: BoolArray, standing: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return positions and velocities of particles that fly: leaders by (25), scouts by (30, 31)."""
-        s, x, best = self._settings, self._position, self._best_position
-        own_leader = order[group]
-        first_c = s.learning * np.exp(1.0 / (1.0 + standing) - 1.0)
-        second_c = s.learning * np.exp(np.abs(standing - standing[own_leader]) - 1.0)
-        runner_up = order[min(1, len(order) - 1)]
-        not_own = np.where(own_leader == order[0], runner_up, order[0])
-        near = np.where(leads[:, None], best, best[own_leader])
-        far = np.where(leads[:, None], best[not_own], best[order[0]])
-        r1, r2 = self._rng.random((2, *x.shape))
-        velocity = (
-            self._inertia * self._velocity + first_c[:, None] * r1 * (near - x) + second_c[:, None] * r2 * (far - x)
+    def _search(self, progress: float) -> FloatArray:
+        rng, x = self._rng, self.source
+        bees, dimensions = x.shape
+        better, one, other = self._fellows(_ELITE + (_ELITE_LATE - _ELITE) * progress)
+        first, second, share = self._drawn[:, :, None]
+        known = np.concatenate([x, self._given_up])
+        moved = x + first * (x[better] - x) + second * (x[one] - known[other])
+
+        everyone, start = np.arange(bees), rng.integers(0, dimensions, bees)
+        changes = rng.random((bees, dimensions)) < share
+        changes[everyone, start] = True
+        self._in_block = rng.random((bees,)) < self._block_share
+        length = 1.0 + np.floor(rng.random((bees, 1)) * np.maximum(2.0 * share * dimensions - 1.0, 1.0))
+        block = (np.arange(dimensions) - start[:, None]) % dimensions < length
+        moved = np.where(np.where(self._in_block[:, None], block, changes), moved, x)
+        if self._settings.walls:
+            inside: FloatArray = np.clip(moved, 0.0, 1.0)
+        else:
+            inside = np.where(moved < 0.0, 0.5 * x, np.where(moved > 1.0, 0.5 * (1.0 + x), moved))
+        return inside
+
+    def _fellows(self, elite: float) -> tuple[IntArray, IntArray, IntArray]:
+        """Return for every bee one of its group's best, another fellow, and a fellow or a source given up (P, ...)."""
+        rng, bees, given_up = self._rng, len(self.cost), len(self._given_up)
+        better, one, other = (np.zeros(bees, dtype=np.intp) for _ in range(3))
+        order = np.argsort(self.cost, kind="stable")
+        for g in range(self._groups):
+            ranked = order[self._group[order] == g]
+            members = np.sort(ranked)
+            count = len(members)
+            better[members] = ranked[rng.integers(0, max(min(2, count), round(elite * count)), count)]
+            pick = rng.integers(0, max(1, count - 1), count)
+            pick += pick >= np.arange(count)
+            one[members] = members[pick % count]
+            pick = rng.integers(0, count + given_up * count // bees, count)
+            old = bees + rng.integers(0, max(given_up, 1), count)
+            other[members] = np.where(pick >= count, old, members[np.minimum(pick, count - 1)])
+        return better, one, other
+
+    def _learn_factors(self, gain: FloatArray) -> None:
+        """Move each group's oldest entry half way to what succeeded, weighted by its gain."""
+        for g in np.unique(self._group[gain > 0.0]):
+            mine = (self._group == g) & (gain > 0.0)
+            weight, drawn, slot = gain[mine] / gain[mine].max(), self._drawn[:, mine], self._oldest[g]
+            mean = (weight * drawn * drawn).sum(axis=1) / (weight * drawn).sum(axis=1)
+            self._memory[:, g, slot] = 0.5 * (self._memory[:, g, slot] + mean)
+            self._oldest[g] = (slot + 1) % _MEMORY
+
+    def _learn_blocks(self, gain: FloatArray) -> None:
+        """Turn the share of blocks towards what gained more for each candidate."""
+        blocks = self._in_block
+        if not self._block_share or blocks.all() or not blocks.any():
+            return
+        by_block, by_one = gain[blocks].mean(), gain[~blocks].mean()
+        if 0.0 < by_block + by_one < np.inf:
+            share = (1.0 - _TURN) * self._block_share + _TURN * by_block / (by_block + by_one)
+            self._block_share = float(min(max(share, _BLOCKS_LEAST), 1.0 - _BLOCKS_LEAST))
+
+
+class _Leader:
+    """CMA-ES in the unit box; names and formulas of arXiv:1604.00772."""
+
+    def __init__(self, around: FloatArray, best_cost: float, rng: np.random.Generator) -> None:
+        self._rng = rng
+        self.best, self.best_cost = around[0].copy(), best_cost
+        self.rests = False
+        n = self._n = around.shape[1]
+        self._lambda = 4 + int(3.0 * math.log(n))
+        mu = self._lambda // 2
+        weights = math.log((self._lambda + 1) / 2) - np.log(np.arange(1, mu + 1))
+        self._weights = weights / weights.sum()
+        eff = self._mu_eff = 1.0 / float((self._weights**2).sum())
+        self._c_sigma = (eff + 2.0) / (n + eff + 5.0)
+        self._damping = 1.0 + 2.0 * max(0.0, math.sqrt((eff - 1.0) / (n + 1.0)) - 1.0) + self._c_sigma
+        self._c_c = (4.0 + eff / n) / (n + 4.0 + 2.0 * eff / n)
+        self._c_1 = 2.0 / ((n + 1.3) ** 2 + eff)
+        self._c_mu = min(1.0 - self._c_1, 2.0 * (eff - 2.0 + 1.0 / eff) / ((n + 2.0) ** 2 + eff))
+        self._chi = math.sqrt(n) * (1.0 - 1.0 / (4.0 * n) + 1.0 / (21.0 * n * n))
+
+        offsets = around - around.mean(axis=0)
+        covariance = offsets.T @ offsets / len(around)
+        variance = float(np.trace(covariance)) / n
+        self._mean = self.best.copy()
+        self._sigma = max(_LEADER_WIDTH * math.sqrt(variance), 1e-9) if variance > 0.0 else _LEADER_FIRST
+        self._covariance = 0.5 * np.eye(n) + 0.5 * covariance / variance if variance > 0.0 else np.eye(n)
+        self._path_sigma, self._path_c = np.zeros((2, n))
+        self._generation = self._idle = 0
+        self._axes, self._lengths, self._axes_age = np.eye(n), np.ones(n), math.inf
+        self._candidate = np.empty((self._lambda, n))
+
+    def ask(self) -> FloatArray:
+        """Return points (lambda, D) around the mean, reflected at the walls."""
+        if self._axes_age > 1.0 / (10.0 * self._n * (self._c_1 + self._c_mu)):
+            squares, self._axes = np.linalg.eigh(self._covariance)
+            self._lengths = np.sqrt(np.maximum(squares, 1e-30 * squares[-1]))
+            self._axes_age = 0.0
+        steps = (self._rng.standard_normal((self._lambda, self._n)) * self._lengths) @ self._axes.T
+        free = self._mean + self._sigma * steps
+        self._candidate = np.clip(np.where(free < 0.0, -free, np.where(free > 1.0, 2.0 - free, free)), 0.0, 1.0)
+        return self._candidate
+
+    def tell(self, cost: FloatArray) -> None:
+        """Move the mean to the better half, and turn and stretch the coordinate system."""
+        n = self._n
+        order = np.argsort(cost, kind="stable")[: len(self._weights)]
+        self._generation += 1
+        self._axes_age += 1.0
+        self._idle += 1
+        if cost[order[0]] < self.best_cost:
+            self.best, self.best_cost, self._idle = self._candidate[order[0]].copy(), float(cost[order[0]]), 0
+        steps = (self._candidate[order] - self._mean) / self._sigma
+        step = self._weights @ steps
+        self._mean = self._mean + self._sigma * step
+        white = self._axes @ ((self._axes.T @ step) / self._lengths)
+        c = self._c_sigma
+        self._path_sigma = (1.0 - c) * self._path_sigma + math.sqrt(c * (2.0 - c) * self._mu_eff) * white
+        length = float(np.linalg.norm(self._path_sigma))
+        usual = math.sqrt(1.0 - (1.0 - c) ** (2 * self._generation)) * (1.4 + 2.0 / (n + 1.0)) * self._chi
+        steady = float(length < usual)
+        c = self._c_c
+        self._path_c = (1.0 - c) * self._path_c + steady * math.sqrt(c * (2.0 - c) * self._mu_eff) * step
+        self._covariance = (
+            (1.0 - self._c_1 * (1.0 - (1.0 - steady) * c * (2.0 - c)) - self._c_mu) * self._covariance
+            + self._c_1 * np.outer(self._path_c, self._path_c)
+            + self._c_mu * (steps.T * self._weights) @ steps
         )
-        return fly(x, velocity, s.velocity_max)
-
-    def _foraging(self, order: IntArray, onlooks: BoolArray, standing: FloatArray) -> FloatArray:
-        """Return one candidate (P, D) per bee: (24) around its source, pulled towards a point of the elite."""
-        s, rng, best = self._settings, self._rng, self._best_position
-        population, dimensions = best.shape
-        share = np.cumsum(1.0 / (1.0 + standing))
-        source = np.where(
-            onlooks,
-            np.minimum(np.searchsorted(share, rng.random(population) * share[-1]), population - 1),
-            np.arange(population),
-        )
-        base = best[source]
-        one, other = rng.integers(0, population, (2, population))
-        elite = order[rng.integers(0, min(population, max(2, population // _ELITE_SHARE)), population)]
-        phi, pull = rng.uniform(-1.0, 1.0, (population, 1)), rng.random((population, 1))
-        moved = base + phi * (best[one] - best[other]) + pull * (best[elite] - base)
-        likely = np.where(rng.random((population, 1)) < 0.5, s.bee_dimensions, 1.0 / dimensions)
-        changes = rng.random((population, dimensions)) < likely
-        changes[np.arange(population), rng.integers(0, dimensions, population)] = True
-        moved = np.where(changes, moved, base)
-        inside = np.clip(moved, 0.0, 1.0)
-        # Falling short of the wall instead of sticking to it keeps diversity there.
-        return np.where(moved == inside, moved, base + (inside - base) * rng.random(moved.shape))
-
-    def _start_anew(self, candidate: FloatArray, exhausted: BoolArray, leads: BoolArray, group: IntArray) -> None:
-        for i in np.flatnonzero(exhausted):
-            low, high = np.zeros(candidate.shape[1]), np.ones(candidate.shape[1])
-            if leads[i]:
-                fellows = self._best_position[group == group[i]]
-                low, high = fellows.min(axis=0), fellows.max(axis=0)
-            candidate[i] = low + self._rng.random(candidate.shape[1]) * (high - low)
-        self._velocity[exhausted] = 0.0
-        self._cost[exhausted] = np.inf
-        self._best_cost[exhausted] = np.inf
-        self._idle[exhausted] = 0
+        self._sigma *= math.exp(min(1.0, self._c_sigma / self._damping * (length / self._chi - 1.0)))
+        widest = self._sigma * float(self._lengths[-1])
+        self.rests = self._idle > 100 + 20 * n or not 1e-19 < widest < 1e3
 
 
-def _median(values: FloatArray) -> float:
-    """Return the median (numpy's takes ten times as long for a swarm's few numbers)."""
-    ordered = np.sort(values)
-    return float(0.5 * (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]))
+def positive_cauchy(rng: np.random.Generator, middle: FloatArray) -> FloatArray:
+    """Return draws of Cauchy distributions of width 0.1 around ``middle`` > 0, those not above 0 drawn anew."""
+    drawn = np.zeros(middle.shape)
+    wrong = np.ones(middle.shape, dtype=np.bool_)
+    while wrong.any():
+        drawn[wrong] = middle[wrong] + _WIDTH * np.tan(np.pi * (rng.random(int(wrong.sum())) - 0.5))
+        wrong = drawn <= 0.0
+    return drawn

@@ -17,7 +17,7 @@ from missionplanner.search.gold_rush import gold_rush
 from missionplanner.search.grey_wolves import grey_wolves
 from missionplanner.search.hybrids import annealed_swarm, genetic_swarm
 from missionplanner.search.pso import particle_swarm, quantum_swarm
-from missionplanner.search.pso_abc_sa import PsoAbcSa
+from missionplanner.search.pso_abc_sa import PsoAbcSa, population_for
 from missionplanner.search.pso_abc_sa_paper import grouped_bees
 from missionplanner.search.sparrows import sparrows
 from missionplanner.search.spider_wasps import spider_wasps
@@ -65,7 +65,13 @@ class Algorithm:
 
 
 _ALGORITHMS = (
-    Algorithm("pso-abc-sa", "particle swarm in groups of bees with annealing", f"{_PAPER}, best form", PsoAbcSa),
+    Algorithm(
+        "pso-abc-sa",
+        "particle swarm in groups of bees with annealing",
+        f"{_PAPER}, best form",
+        PsoAbcSa,
+        population_for,
+    ),
     Algorithm(
         "pso-abc-sa-paper",
         "the same with the paper's parameters",

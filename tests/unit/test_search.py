@@ -86,10 +86,21 @@ def test_beats_random_search_on_a_bowl_off_the_middle(name: str) -> None:
 def test_whatever_ends_a_search_first() -> None:
     assert minimise(sphere, [0], [1], evaluations=10_000, seed=0, target=0.1).evaluations < 10_000
     assert minimise(lambda x: np.full(len(x), -np.inf), [0], [1], evaluations=99, population=9, seed=0).evaluations == 9
-    assert minimise(sphere, [0], [1], evaluations=10_000, population=20, seed=0, iterations=7).evaluations == 140
+    assert (
+        minimise(sphere, [0], [1], evaluations=10_000, population=20, seed=0, iterations=7, algorithm="pso").evaluations
+        == 140
+    )
     ticks = iter(range(100))
     timed = minimise(
-        sphere, [0], [1], evaluations=10_000, population=20, seed=0, seconds=4.5, clock=lambda: float(next(ticks))
+        sphere,
+        [0],
+        [1],
+        algorithm="pso",
+        evaluations=10_000,
+        population=20,
+        seed=0,
+        seconds=4.5,
+        clock=lambda: float(next(ticks)),
     )
     assert timed.evaluations == 100  # the clock reads 0 at the start and 5 after the fifth generation
     calls: list[tuple[int, float]] = []
@@ -98,7 +109,7 @@ def test_whatever_ends_a_search_first() -> None:
         calls.append((evaluations, best_cost))
         return len(calls) == 3
 
-    result = minimise(sphere, [0], [1], evaluations=10_000, population=50, seed=0, callback=callback)
+    result = minimise(sphere, [0], [1], evaluations=10_000, population=50, seed=0, callback=callback, algorithm="pso")
     assert result.evaluations == 150
     assert calls[-1] == (150, result.cost)
 
