@@ -47,8 +47,9 @@ CONTROLS = 10
 GRID = np.arange(1, ITERATIONS + 1) * POPULATION
 """The evaluations at which the curve of convergence is kept."""
 
-ROUNDING_M = 0.05
-"""How much nearer than it must a safe path may be: a minimum of a price with soft limits touches them."""
+SOFT_M, ROUNDING_M = 0.2, 0.05
+"""How much nearer than it must a safe path may be: one that ends on soft limits, which forgive so much; one that is
+proven, for what the judge's ground differs."""
 
 _SAMPLES = 128
 _ROOM_ABOVE_M = 100.0
@@ -142,7 +143,7 @@ def search_fleet(
         used += found.evaluations
     cpu_s = time.process_time() - begin_s
     return {
-        **_judged(scene, judge, paths, paths, together(paths)),
+        **_judged(scene, judge, paths, paths, together(paths), SOFT_M),
         "history": np.round(history, 6).tolist(),
         "evaluations": used,
         "cpu_s": cpu_s,
@@ -182,7 +183,7 @@ def plan_scene(text: str, seed: int) -> dict[str, Any]:
     legs = [vehicle.waypoints_m for vehicle in plan.vehicles]
     flights = [vehicle.trajectory for vehicle in plan.vehicles]
     return {
-        **_judged(scene, judge, paths, legs, flights),
+        **_judged(scene, judge, paths, legs, flights, ROUNDING_M),
         "error": "",
         "evaluations": sum(vehicle.evaluations for vehicle in plan.vehicles),
         "cpu_s": cpu_s,
@@ -213,6 +214,7 @@ def _judged(
     paths: Sequence[FloatArray],
     legs: Sequence[FloatArray],
     flights: Sequence[Trajectory],
+    forgiven_m: float,
 ) -> dict[str, Any]:
     """Return each vehicle's price and length, and what is true of the legs that it flies.
 
@@ -225,9 +227,9 @@ def _judged(
         kept, wide = judge.kept(legs_m), judge.kept(legs_m, task.limits.tube_m)
         free = kept.height_m > 0.0 and kept.obstacle_m > 0.0
         roomy = (
-            wide.height_m >= task.limits.terrain_margin_m - ROUNDING_M
-            and wide.obstacle_m >= task.limits.obstacle_margin_m - ROUNDING_M
-            and wide.edge_m >= task.limits.obstacle_margin_m - ROUNDING_M
+            wide.height_m >= task.limits.terrain_margin_m - forgiven_m
+            and wide.obstacle_m >= task.limits.obstacle_margin_m - forgiven_m
+            and wide.edge_m >= task.limits.obstacle_margin_m - forgiven_m
         )
         price = price_of(scene, k, paths[:k])
         others = [proof.required_apart_m(scene, task, other) for other in scene.tasks if other is not task]
@@ -241,7 +243,7 @@ def _judged(
                 "apart_m": float(apart_m[k]),
                 "climb_deg": math.degrees(kept.climb_rad),
                 "avoids": bool(free and apart_m[k] >= scene.mission.fleet.separation_m),
-                "safe": bool(roomy and apart_m[k] >= max(others, default=0.0) - ROUNDING_M),
+                "safe": bool(roomy and apart_m[k] >= max(others, default=0.0) - forgiven_m),
                 "flyable": bool(kept.climb_rad <= task.limits.climb_angle_rad + 1e-3),
             }
         )

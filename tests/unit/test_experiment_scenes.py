@@ -141,7 +141,7 @@ def judged(path_m: FloatArray) -> dict[str, Any]:
     """Return the verdict on the first vehicle's path when the others fly elsewhere."""
     scene, judge = resolved(MOUNTAIN)
     alone = replace(scene, tasks=scene.tasks[:1])
-    (vehicle,) = scene_runs._judged(alone, judge, [path_m], [path_m], together([path_m]))["vehicles"]
+    (vehicle,) = scene_runs._judged(alone, judge, [path_m], [path_m], together([path_m]), 0.0)["vehicles"]
     return dict(vehicle)
 
 
