@@ -182,6 +182,35 @@ def table2(
     run("table2", output, as_json, measure)
 
 
+@app.command()
+def ablation(
+    output: Output = None,
+    runs: Annotated[int, typer.Option(min=1, help="of every variant on every problem")] = 21,
+    evaluations: Annotated[int, typer.Option(min=1, help="of every run")] = 10_000,
+    instances: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="instances of the UAV objective (*.npz), searched as well")
+    ] = None,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure what each part of PSO-ABC-SA's best form is worth: one after the other is left out."""
+    from missionplanner.experiments import ablation as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(
+            folder,
+            runs=runs,
+            evaluations=evaluations,
+            instances=instances,
+            workers=workers,
+            cluster=cluster,
+            progress=show,
+        )
+
+    run("ablation", output, as_json, measure)
+
+
 @app.command("scenes-2d")
 def scenes_2d(
     output: Output = None,

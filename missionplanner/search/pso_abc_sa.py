@@ -272,7 +272,7 @@ class _Bees:
         known = np.concatenate([x, self._given_up])
         moved = x + first * (x[better] - x) + second * (x[one] - known[other])
 
-        everyone, start = np.arange(bees), rng.integers(0, dimensions, bees)
+        everyone, start = np.arange(bees), rng.integers(0, dimensions, (bees,))
         changes = rng.random((bees, dimensions)) < share
         changes[everyone, start] = True
         self._in_block = rng.random((bees,)) < self._block_share
