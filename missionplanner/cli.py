@@ -104,12 +104,16 @@ def plan(
     output: Output = None,
     seed: Seed = None,
     algorithm: Annotated[str | None, typer.Option(help="search algorithm; default: the mission's")] = None,
+    within: Annotated[
+        float | None,
+        typer.Option(metavar="SECONDS", min=0.001, help="improve paths for so long; plans then differ from run to run"),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Plan a mission, prove it, and write plan.json, certificate.json and the files for ground stations."""
     scene = _scene(mission, algorithm)
     folder = output or _default_folder(scene)
-    fleet_plan = _plan(scene, folder, seed)
+    fleet_plan = _plan(scene, folder, seed, within)
     _show(fleet_plan, folder, as_json)
 
 
@@ -762,7 +766,7 @@ def _default_folder(scene: Scene) -> Path:
     return Path("out") / scene.mission.name
 
 
-def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
+def _plan(scene: Scene, folder: Path, seed: int | None, within_s: float | None = None) -> FleetPlan:
     """Plan with progress bars, and write the plan, its certificate and its files."""
     from adapters.certificates import certify_plan
     from adapters.export import export_fleet
@@ -785,7 +789,7 @@ def _plan(scene: Scene, folder: Path, seed: int | None) -> FleetPlan:
             if compiling is not None and done >= 1.0:
                 compiling.wait()  # flights come next: what the other process compiles would be compiled twice
 
-        fleet_plan = plan_fleet(scene, seed=seed, watch=watch)
+        fleet_plan = plan_fleet(scene, seed=seed, watch=watch, seconds=within_s)
     _clock_start(fleet_plan, datetime.now(UTC))
     again = (folder / PLAN_NAME).exists()
     save_plan(folder, scene, fleet_plan)

@@ -165,6 +165,16 @@ class Price:
         table = self._table(paths) * self.weights
         return {name: table[:, k] for k, name in enumerate(TERMS)}
 
+    def straight(self, route_m: FloatArray) -> float:
+        """Return the price of flying straight from point to point of a route (R, 3): no path costs less.
+
+        But for what all paths pay alike, as where a route's points themselves lie in a zone.
+        """
+        rise_m = np.maximum(np.diff(route_m[:, 2]), 0.0).sum()
+        way_m = np.linalg.norm(np.diff(route_m, axis=0), axis=1).sum()
+        per_m = self.weights[[kernels.VOYAGE, kernels.CLIMB]] / self.settings.route_length_m
+        return float(per_m @ [way_m, rise_m])
+
     def slopes(self, paths: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the weighted sums (P,) of finite paths (P, S, 3) and their derivatives (P, S, 3) by every sample.
 

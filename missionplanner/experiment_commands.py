@@ -444,3 +444,36 @@ def growth(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json:
     from missionplanner.experiments import growth as experiment
 
     run("growth", output, as_json, lambda folder, show: experiment.main(folder, seed=seed, quick=quick, progress=show))
+
+
+@app.command()
+def weights(
+    missions: Annotated[
+        list[Path] | None, typer.Option("--mission", help="mission files; default: all examples")
+    ] = None,
+    output: Output = None,
+    seed: Annotated[int, typer.Option(min=0, help="the first of them")] = 1,
+    seeds: Annotated[int, typer.Option(min=1, help="plans of every mission with every kind of weights")] = 5,
+    quick: Quick = False,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    as_json: AsJson = False,
+) -> None:
+    """Hold adaptive against fixed weights of what is forbidden."""
+    from missionplanner.experiments import weights as experiment
+
+    chosen = missions or [Path("missions") / f"{name}.yaml" for name in experiment.EXAMPLES]
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(
+            folder,
+            missions=chosen,
+            seed=seed,
+            seeds=seeds,
+            quick=quick,
+            workers=workers,
+            cluster=cluster,
+            progress=show,
+        )
+
+    run("weights", output, as_json, measure)

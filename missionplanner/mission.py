@@ -544,6 +544,11 @@ class Planner(Model):
     population: Annotated[int, Strict(), Field(ge=6, le=10_000)] = 50
     iterations: Annotated[int, Strict(), Field(ge=1, le=1_000_000)] = 200
     seed: Annotated[int, Strict(), Field(ge=0)] = 1
+    seconds: Positive | None = Field(
+        None,
+        description="for how long paths are improved, beyond the search that every plan takes; plans then differ "
+        "from run to run",
+    )
     weights: Weights = Weights()
     waypoint_tolerance_m: Positive = Field(2.0, description="uploaded legs stay this close to the planned curve")
 

@@ -39,7 +39,10 @@ _EXTRA_M = (0.0, 1.0, 2.0, 4.0, 7.0)
 """How much wider the margins are in each attempt: beside steep ground, a tube needs more height than straight below."""
 _WIRE_M = 0.02
 """What rounding to 1e-7 degrees and single precision moves a waypoint at most."""
-_GUESSES_PER_SECTION = 2
+_OTHER_WAYS = 2
+"""Guesses per section where other ways around are looked for."""
+_DEAR = 0.05
+"""Share of the price of flying straight by which a curve is so dear that another way around may be cheaper."""
 _CLASSES = 3
 """How many of the guesses' curves are polished."""
 _SAMPLES = 200
@@ -48,7 +51,9 @@ _SAMPLE_M = 15.0
 _CORNER_M = 24.0
 """How far from a corner its neighbouring control points stand in the first attempt; halved in each further one."""
 _PATIENCE = 3
-"""Generations without a gain after which the swarm has seen enough; twice as many while time is the budget."""
+"""Generations without a gain after which the swarm has seen enough."""
+_LONG_PATIENCE = 20
+"""The same while there is time; so many swarms in turn, too, may gain nothing."""
 _GAIN = 1e-3
 """Share of the price that is a gain."""
 _ELSEWHERE = 0.25
@@ -78,18 +83,27 @@ class SearchSeconds:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """How long a search may take: until a time of the clock that is passed in; without a clock, by evaluations alone.
+    """Until when, by a clock that is passed in, a search may go on though it gains little; by default it does not.
 
-    Time in place of evaluations costs repeatability: how far a search comes depends on the machine.
+    Time costs repeatability: how far a search comes depends on the machine.
     """
 
     clock: Clock | None = None
-    until_s: float = math.inf
+    until_s: float = -math.inf
 
     @property
     def left_s(self) -> float:
         """What is left, never below 0."""
-        return math.inf if self.clock is None else max(0.0, self.until_s - self.clock())
+        return 0.0 if self.clock is None else max(0.0, self.until_s - self.clock())
+
+    @property
+    def improves(self) -> bool:
+        """Whether there is time left."""
+        return self.left_s > 0.0
+
+    def part(self, share: float) -> Budget:
+        """Return a budget that ends when this share of what is left has passed."""
+        return self if self.clock is None else Budget(self.clock, self.clock() + share * self.left_s)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,6 +147,15 @@ class _Family:
         return paths
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Curve:
+    """A curve (S, 3), its price, and what it is a member of."""
+
+    cost: float
+    path_m: FloatArray
+    family: _Family
+
+
 @dataclass(slots=True, eq=False)
 class _Finds:
     """What a search has found, the cheapest curve first, and what it took."""
@@ -142,7 +165,7 @@ class _Finds:
     seconds: SearchSeconds = field(default_factory=SearchSeconds)
     history: list[float] = field(default_factory=list)
     evaluations: int = 0
-    curves: list[tuple[float, FloatArray, _Family]] = field(default_factory=list)
+    curves: list[_Curve] = field(default_factory=list)
 
     @contextmanager
     def timed(self, part: str) -> Iterator[None]:
@@ -154,8 +177,8 @@ class _Finds:
 
     def add(self, cost: float, path_m: FloatArray, family: _Family) -> None:
         """Take a curve."""
-        self.curves.append((cost, path_m, family))
-        self.curves.sort(key=lambda curve: curve[0])
+        self.curves.append(_Curve(cost, path_m, family))
+        self.curves.sort(key=lambda curve: curve.cost)
         self.told([cost])
 
     def told(self, costs: list[float]) -> None:
@@ -199,7 +222,7 @@ def find_path(
     wider_m
         How much more than the margins is looked for, where there is room.
     budget
-        When the search has to stop improving. Whatever it is, a first guess is looked for and proven.
+        How much longer it goes on improving.
 
     Raises
     ------
@@ -213,21 +236,21 @@ def find_path(
         # the fitted legs may leave the curve by the tolerance
         extra_m = settings.waypoint_tolerance_m + wider_m + more_m
         finds = _Finds(price_of(extra_m), budget, seconds)
+        corner_m = _corner_m(task) / 2**attempt
         try:
-            with finds.timed("graph_s"):
-                sections = _guess_sections(task, space, names, extra_m, gentleness)
+            _guess(task, space, names, extra_m, gentleness, corner_m, finds)
         except InfeasibleError:
             if attempt > 0:
                 break  # there is a way, but no room to hold it closer
             extra_m = settings.waypoint_tolerance_m
             finds.price = price_of(extra_m)
-            with finds.timed("graph_s"):
-                sections = _guess_sections(task, space, names, extra_m, gentleness)
-        with finds.timed("graph_s"):
-            families = _families(sections, _corner_m(task) / 2**attempt, finds)
-        _search(families, finds, settings, rng, on_iteration if attempt == 0 else None)
-        for _, curve_m, family in finds.curves:
-            path_m = np.round(curve_m, 3)
+            _guess(task, space, names, extra_m, gentleness, corner_m, finds)
+        base_m = finds.curves[0].family.base_m
+        if finds.curves[0].cost > (1.0 + _DEAR) * finds.price.straight(task.route_m):
+            _guess(task, space, names, extra_m, gentleness, corner_m, finds, _OTHER_WAYS)
+        _explore(finds, settings, rng, on_iteration if attempt == 0 else None)
+        for curve in finds.curves:
+            path_m, family = np.round(curve.path_m, 3), curve.family
             with finds.timed("proof_s"):
                 waypoints = _flyable_legs(path_m, family.stops, task, space, bounds, settings.waypoint_tolerance_m)
                 clear = waypoints is not None and flown_is_clear(waypoints)
@@ -242,7 +265,7 @@ def find_path(
                     evaluations=finds.evaluations,
                     seconds=seconds,
                 )
-        if not legs_within_angles(task.limits, polyline_legs(families[0].base_m), _ANGLE_SLACK_RAD).all():
+        if not legs_within_angles(task.limits, polyline_legs(base_m), _ANGLE_SLACK_RAD).all():
             gentleness *= _GENTLER  # a curve cuts the bends of a climb that winds up, and gets steeper there
     raise InfeasibleError(
         f"{task.name}: found no path that is proven clear with its whole tube in {len(_EXTRA_M)} attempts: "
@@ -250,42 +273,38 @@ def find_path(
     )
 
 
-def _search(
-    families: list[_Family],
-    finds: _Finds,
-    settings: Planner,
-    rng: np.random.Generator,
-    on_iteration: Callable[[float], None] | None,
+def _explore(
+    finds: _Finds, settings: Planner, rng: np.random.Generator, on_iteration: Callable[[float], None] | None
 ) -> None:
-    """Polish the families' curves, explore around the cheapest, polish what that finds; as far as the budget goes."""
-    for family in families:
-        if finds.budget.left_s > 0.0:
-            finds.polished(family.base_m, family)
-    best_cost, best_m, family = finds.curves[0]
-    if finds.budget.left_s > 0.0:
-        around = replace(family, base_m=best_m)
-        for path_m in _explore(around, best_cost, finds, settings, rng, on_iteration):
-            finds.polished(path_m, family)
+    """Look around the cheapest curve for others, and polish them; again while that gains, or while there is time."""
+    idle = 0
+    told = on_iteration
+    while idle < (_LONG_PATIENCE if finds.budget.improves else 1):
+        best = finds.curves[0]
+        for path_m in _swarm(best, finds, settings, rng, told):
+            finds.polished(path_m, best.family)
+        told = None
+        idle = 0 if finds.curves[0].cost < (1.0 - _GAIN) * best.cost else idle + 1
     if on_iteration is not None:
         on_iteration(1.0)
 
 
-def _explore(
-    family: _Family,
-    least: float,
+def _swarm(
+    around: _Curve,
     finds: _Finds,
     settings: Planner,
     rng: np.random.Generator,
     on_iteration: Callable[[float], None] | None,
 ) -> list[FloatArray]:
-    """Return the few curves that the mission's algorithm finds around a curve of price ``least``, worth a polish.
+    """Return the few curves that the mission's algorithm finds around one, worth a polish.
 
     The cheapest of all, if it is cheaper, and the cheapest of those that lie elsewhere: a polish may well make more of
     it. A swarm that gains nothing for a while stops.
     """
-    timed = math.isfinite(finds.budget.left_s)
+    family, least = replace(around.family, base_m=around.path_m), around.cost
+    improves = finds.budget.improves
     evaluations = settings.population * settings.iterations
-    patience = _PATIENCE * (2 if timed else 1)
+    patience = _LONG_PATIENCE if improves else _PATIENCE
     shaken = family.centre + rng.normal(0.0, 0.1, (settings.population // 2, family.dimensions))
     elsewhere, elsewhere_cost = family.base_m, math.inf
     gained, idle = least, 0
@@ -319,7 +338,7 @@ def _explore(
             population=settings.population,
             initial=np.concatenate([family.centre[np.newaxis], shaken]),
             callback=seen_enough,
-            seconds=finds.budget.left_s if timed else None,
+            seconds=finds.budget.left_s if improves else None,
             clock=finds.budget.clock or (lambda: 0.0),
         )
         finds.evaluations += result.evaluations
@@ -350,8 +369,26 @@ def _flyable_legs(
     )
 
 
+def _guess(
+    task: VehicleTask,
+    space: SpaceArrays,
+    names: tuple[str, ...],
+    extra_m: float,
+    gentleness: float,
+    corner_m: float,
+    finds: _Finds,
+    count: int = 1,
+) -> None:
+    """Take the curves around the first guesses, and polish the cheapest few; around others than the first if asked."""
+    with finds.timed("graph_s"):
+        sections = _guess_sections(task, space, names, extra_m, gentleness, count)
+        families = _families(sections, corner_m, finds, others=count > 1)
+    for family in families:
+        finds.polished(family.base_m, family)
+
+
 def _guess_sections(
-    task: VehicleTask, space: SpaceArrays, names: tuple[str, ...], extra_m: float, gentleness: float
+    task: VehicleTask, space: SpaceArrays, names: tuple[str, ...], extra_m: float, gentleness: float, count: int
 ) -> list[list[FloatArray]]:
     """Return, for each pair of consecutive route points, clear polylines (K, 3) between them, the shortest first."""
     climb_rad, descent_rad = (
@@ -363,9 +400,7 @@ def _guess_sections(
     for index, (start, goal) in enumerate(pairwise(task.route_m)):
         try:
             sections.append(
-                first_guesses(
-                    space, limits, start, goal, count=_GUESSES_PER_SECTION, clearance_extra_m=extra_m, names=names
-                )
+                first_guesses(space, limits, start, goal, count=count, clearance_extra_m=extra_m, names=names)
             )
         except InfeasibleError as error:
             raise InfeasibleError(f"{task.name}: no way from stop {index} to stop {index + 1}: {error}") from error
@@ -377,18 +412,17 @@ def _corner_m(task: VehicleTask) -> float:
     return max(_CORNER_M, 2.0 * task.limits.turn_radius_m)
 
 
-def _families(sections: list[list[FloatArray]], corner_m: float, finds: _Finds) -> list[_Family]:
+def _families(sections: list[list[FloatArray]], corner_m: float, finds: _Finds, *, others: bool) -> list[_Family]:
     """Return the curves around the cheapest few combinations of the sections' guesses, looked for section by section.
 
-    The first is the cheapest.
+    ``others``: but for that of each section's first guess.
     """
-    tried: list[tuple[float, _Family]] = []
+    tried: list[_Curve] = []
 
     def cost_of(chosen: list[FloatArray]) -> float:
         family = _family(chosen, corner_m)
         cost = float(finds.price.total(family.base_m[np.newaxis])[0])
-        tried.append((cost, family))
-        finds.add(cost, family.base_m, family)
+        tried.append(_Curve(cost, family.base_m, family))
         return cost
 
     chosen = [guesses[0] for guesses in sections]
@@ -400,7 +434,10 @@ def _families(sections: list[list[FloatArray]], corner_m: float, finds: _Finds) 
             if cost < best_cost:
                 best_cost, chosen = cost, candidate
     finds.evaluations += len(tried)
-    return [family for _, family in sorted(tried, key=lambda pair: pair[0])[:_CLASSES]]
+    tried = sorted(tried[1:] if others else tried, key=lambda curve: curve.cost)
+    for curve in tried:
+        finds.add(curve.cost, curve.path_m, curve.family)
+    return [curve.family for curve in tried[:_CLASSES]]
 
 
 def _family(polylines: list[FloatArray], corner_m: float) -> _Family:

@@ -11,6 +11,7 @@ else nothing is.
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -27,7 +28,7 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 from missionplanner.obstacles import CableSolid, CylinderSolid, Solid
 from missionplanner.path import evenly, length_m
-from missionplanner.path_search import PlannedPath, find_path
+from missionplanner.path_search import Budget, Clock, PlannedPath, find_path
 from missionplanner.plan import FleetPlan, Resolution, Trajectory, VehiclePlan
 from missionplanner.proof import Conflict
 from missionplanner.returns import Returning, UnreturnableError
@@ -36,7 +37,9 @@ from missionplanner.schedule import Flier, Meeting, Schedule, TooEarlyError, arr
 from missionplanner.waypoints import passes
 
 _FELLOW_INSTANTS = 128
-_FELLOW_SLACK_M = 5.0
+_FELLOW_SLACK_M = 2.0
+_SEARCH_SHARE = 0.7
+"""Of the time that is left for a search: what parts vehicles afterwards takes time as well."""
 _ROUNDS = 24
 _AVOID_S = 20.0
 """How long before and after a conflict the other's flight is kept clear of."""
@@ -69,10 +72,23 @@ class Watch(Protocol):
         """Take the news."""
 
 
-def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = None) -> FleetPlan:
+def plan_fleet(
+    scene: Scene,
+    *,
+    seed: int | None = None,
+    watch: Watch | None = None,
+    seconds: float | None = None,
+    clock: Clock = time.perf_counter,
+) -> FleetPlan:
     """Return a plan for the whole fleet that is clear of terrain, obstacles, fence and itself.
 
-    The same scene and seed give the same plan, bit for bit. ``seed`` defaults to the mission's.
+    The same scene and seed give the same plan, bit for bit, unless ``seconds`` bound the search: then how good it
+    becomes depends on the machine, too. ``seed`` and ``seconds`` default to the mission's.
+
+    Parameters
+    ----------
+    seconds
+        For how long, by ``clock``, the paths are improved, beyond the search that every plan takes.
 
     Raises
     ------
@@ -82,12 +98,16 @@ def plan_fleet(scene: Scene, *, seed: int | None = None, watch: Watch | None = N
     """
     wind.refuse_storm(scene.tasks)
     seed = scene.mission.planner.seed if seed is None else seed
+    seconds = scene.mission.planner.seconds if seconds is None else seconds
+    if seconds is not None and not seconds > 0.0:
+        raise MissionError(f"seconds: expected above 0, got {seconds:g}")
+    budget = Budget(clock, -math.inf if seconds is None else clock() + seconds)
     for start in range(_STARTS - 1):
         try:
-            return _proven(_Team(scene, seed, start, watch))
+            return _proven(_Team(scene, seed, start, watch, budget))
         except UnreturnableError:  # who gives way to whom decides who can return: once more, the other way round
             continue
-    return _proven(_Team(scene, seed, _STARTS - 1, watch))
+    return _proven(_Team(scene, seed, _STARTS - 1, watch, budget))
 
 
 def _proven(team: _Team) -> FleetPlan:
@@ -116,11 +136,12 @@ class _Pin:
 class _Team:
     """The vehicles' paths while a plan is looked for, and what each has learned to keep clear of."""
 
-    def __init__(self, scene: Scene, seed: int, start: int, watch: Watch | None) -> None:
+    def __init__(self, scene: Scene, seed: int, start: int, watch: Watch | None, budget: Budget) -> None:
         self._scene = scene
         self._seed = seed
         self._start = start
         self._watch = watch
+        self._budget = budget
         self._generators = np.random.default_rng(seed if start == 0 else [seed, start]).spawn(len(scene.tasks))
         self._wider_m = [0.0] * len(scene.tasks)
         self._mends = _MENDS
@@ -140,8 +161,11 @@ class _Team:
         for after in sorted(detours, reverse=True):
             before, after_m = task.route_m[: after + 1], task.route_m[after + 1 :]
             task = replace(task, route_m=np.concatenate([before, detours[after], after_m]))
+        # the first plan's time is shared by those who have no path yet
+        waiting = max(1, len(self._scene.tasks) - len(self._paths))
+        budget = self._budget.part(_SEARCH_SHARE / waiting)
         rng, wider_m = self._generators[index], self._wider_m[index]
-        return _path(self._scene, [*self._overhead, *avoided], task, fellows, rng, self._watch, wider_m)
+        return _path(self._scene, [*self._overhead, *avoided], task, fellows, rng, self._watch, wider_m, budget)
 
     def _fellows(self, index: int) -> list[PlannedPath]:
         return [path for k, path in enumerate(self._paths) if k != index]
@@ -640,6 +664,7 @@ def _path(
     rng: np.random.Generator,
     watch: Watch | None,
     wider_m: float,
+    budget: Budget,
 ) -> PlannedPath:
     """Return one vehicle's path around all that stands still and what is to be ``avoided``.
 
@@ -647,6 +672,9 @@ def _path(
     """
     space = _with(scene.space, avoided)
     names = (*scene.obstacles.names, *(solid.name for solid in avoided))
+    fleet = scene.mission.fleet
+    if not fleet.arrive_together and fleet.launch_interval_s > 0.0:
+        fellows = []  # where they are when, compared with this one, nobody knows yet
     fellows_m = np.stack([evenly(f.path_m, _FELLOW_INSTANTS) for f in fellows]) if fellows else None
     unvisited = _unvisited(scene)
     # what the proof asks for, and a little more: the price knows the fellows' timing only roughly
@@ -692,6 +720,7 @@ def _path(
         flown_is_clear,
         on_iteration,
         wider_m,
+        budget,
     )
 
 

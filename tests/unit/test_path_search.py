@@ -134,7 +134,7 @@ def test_the_search_only_improves_and_reports_what_it_did() -> None:
     exact = price(around, around.mission.planner.waypoint_tolerance_m)
     assert path.cost == pytest.approx(exact.total(path.path_m[None])[0])
     assert path.cost_terms == {name: pytest.approx(v[0]) for name, v in exact.terms(path.path_m[None]).items()}
-    assert path.cost <= path.history[-1] * 1.0001  # but for the millimetres that it is rounded to
+    assert path.cost <= path.history[-1] * 1.001  # the cheapest that is flyable
 
 
 def test_more_room_is_kept_when_it_is_asked_for() -> None:

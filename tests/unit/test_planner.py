@@ -295,8 +295,9 @@ def test_least_energy() -> None:
     assert thrifty.vehicles[0].arrival_s == pytest.approx(thrifty.vehicles[1].arrival_s, abs=0.1)
 
 
-def test_who_crosses_passes_at_another_time_before_anybody_is_planned_again() -> None:
-    # the shorter way has room to be flown slower or faster
+def test_who_crosses_passes_at_another_time_before_anybody_is_planned_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    # the shorter way has room to be flown slower or faster, and no price keeps the ways apart
+    monkeypatch.setattr("missionplanner.planner._FELLOW_SLACK_M", -1e3)
     long = copter("long", (0, 0), (900, 0), stops=[at(450, 0, agl=40)])
     cross = copter("cross", (450, -300), (450, 300), stops=[at(450, 0, agl=40), at(450, 150, agl=40)])
     scene, plan = planned(long, cross, fleet=WAIVED)
@@ -491,3 +492,16 @@ def test_the_planner_tells_how_it_goes_on() -> None:
 def test_twenty_seeds_of_a_crowded_crossing(seed: int) -> None:
     _, plan = planned(*SWAP, seed=seed, obstacles=[{**MAST, "center": at(5, 5)}], fleet=WAIVED)
     assert least_distance_m(plan) >= APART_M - 1e-6
+
+
+def test_time_improves_a_plan_and_ends() -> None:
+    scene = scene_of(question(*CROSSING, fleet=WAIVED))
+    ticks = iter(range(10**9))
+    plan = plan_fleet(scene, seconds=3.0, clock=lambda: 0.01 * next(ticks))
+    assert_proven(scene, plan)
+    assert next(ticks) > 200  # most of the time is used
+    usual = plan_fleet(scene)
+    assert sum(v.cost for v in plan.vehicles) <= 1.001 * sum(v.cost for v in usual.vehicles)
+    assert sum(v.evaluations for v in plan.vehicles) > sum(v.evaluations for v in usual.vehicles)
+    with pytest.raises(MissionError, match=r"^seconds: expected above 0, got -1$"):
+        plan_fleet(scene, seconds=-1.0)
