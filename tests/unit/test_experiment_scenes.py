@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from missionplanner.errors import MissionError
+from missionplanner.experiment_commands import app
 from missionplanner.experiments import mountain, multi_domain, scene_runs, scenes_2d
 from missionplanner.experiments.document import collect, machine
 from missionplanner.experiments.mountain import bounds_m, shortest_m
@@ -272,6 +274,18 @@ def test_results_are_collected(tmp_path: Path) -> None:
         collect(tmp_path / "plain.md", tmp_path)
     with pytest.raises(MissionError, match="expected a Markdown file"):
         collect(tmp_path / "absent.md", tmp_path)
+
+
+def test_every_section_is_of_a_command() -> None:
+    """What the document of experiments shows can be run again under the name that it has there."""
+    text = (mission_path("mountain").parents[1] / "docs" / "EXPERIMENTS.md").read_text(encoding="utf-8")
+    sections = set(re.findall(r"<!-- ([a-z0-9-]+): begin -->", text))
+    commands = {c.name or c.callback.__name__ for c in app.registered_commands if c.callback is not None}
+    assert sections <= commands
+    assert sections == set(re.findall(r"<!-- ([a-z0-9-]+): end -->", text))
+    assert {"table2", "scenes-2d", "mountain", "multi-domain"} <= sections
+    for name in sections:
+        assert f"`missionplanner experiment {name}`" in text
 
 
 def test_the_machine_is_told() -> None:
