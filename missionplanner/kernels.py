@@ -21,7 +21,9 @@ FloatArray = npt.NDArray[np.float64]
 kernel = njit(cache=True, error_model="numpy")
 if TYPE_CHECKING:
     leaf = kernel
-else:  # of functions that make no array: to count who holds the arrays of a tuple takes longer than most arithmetic
+else:
+    # Of functions that make no array and call only such: to count who holds the arrays of a tuple takes longer than
+    # most arithmetic.
     leaf = njit(cache=True, error_model="numpy", _nrt=False)
 
 CYLINDER, CONE, RADAR, MARINE, PRISM, CABLE = range(6)

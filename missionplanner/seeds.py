@@ -28,7 +28,7 @@ from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 from missionplanner.roadmap import shortest_way
-from missionplanner.taut import INNER, OUTER, Rules, leg_length, leg_ok, pull, tighten
+from missionplanner.taut import LEAF, OUTER, Rules, leg_length, leg_ok, pull, tighten
 from missionplanner.vehicle import VehicleLimits
 
 _TIGHT_END_M = 1e-3  # a start or goal that lacks this little (rounding) is taken as it is
@@ -71,24 +71,19 @@ class _Nodes(NamedTuple):
     queue_node: npt.NDArray[np.int64]
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _free_radius(space: SpaceArrays, rules: Rules, x: float, y: float, z: float, enough: float) -> float:
     """Return how far one may fly in any direction and keep obstacles and fence; at most ``enough``, negative: not."""
-    o = space.obstacles
     free = min(enough, kernels.inside_distance(space, x, y, z) - rules.fence_m, rules.alt_max_m - z)
-    for i in range(o.kind.shape[0]):
-        if free < 0.0:
-            break
-        if not o.hard[i]:
-            continue
-        dx, dy = x - o.bound[i, 0], y - o.bound[i, 1]
-        reach = free + rules.obstacle_m + o.bound[i, 2]
-        if reach > 0.0 and dx * dx + dy * dy < reach * reach:
-            free = min(free, kernels.obstacle_distance(o, i, x, y, z) - rules.obstacle_m)
+    reach = free + rules.obstacle_m
+    if free >= 0.0 and reach > 0.0:
+        nearest = kernels.nearest_hard(space.obstacles, x, y, z, reach)
+        if nearest < reach:
+            free = nearest - rules.obstacle_m
     return free
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _sift_up(q: _Nodes, n: int, key: float, node: int) -> None:
     """Add an entry to the heap of the first ``n``. Ours, because numba takes seconds over heapq."""
     while n > 0:
@@ -102,7 +97,7 @@ def _sift_up(q: _Nodes, n: int, key: float, node: int) -> None:
     q.queue_node[n] = node
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _sift_down(q: _Nodes, n: int) -> None:
     """Drop the least entry of the heap of the first ``n + 1``."""
     key = q.queue_cost[n]
@@ -123,7 +118,7 @@ def _sift_down(q: _Nodes, n: int) -> None:
     q.queue_node[at] = node
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _place(grid: _Grid, ends: FloatArray, u: int, v: int, w: int, out: FloatArray, row: int) -> None:
     """Write the position of a node into a row."""
     a = (u + grid.u_low) * grid.cell_m
@@ -133,7 +128,7 @@ def _place(grid: _Grid, ends: FloatArray, u: int, v: int, w: int, out: FloatArra
     out[row, 2] = ends[0, 2] + (w + grid.w_low) * grid.layer_m
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _node_radius(
     space: SpaceArrays, rules: Rules, floor: FloatArray, column: int, at: FloatArray, enough: float
 ) -> float:
@@ -151,7 +146,7 @@ def _node_radius(
     return radius
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _to_go(rules: Rules, goal: FloatArray, leg: FloatArray) -> float:
     """Return a lower bound of the length from the leg's second point to the goal: straight, or as steep as allowed."""
     rise = goal[2] - leg[1, 2]

@@ -43,11 +43,12 @@ class Rules(NamedTuple):
 # Wrappers that nobody calls cost a quarter of the compile time.
 OUTER: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True}
 INNER: dict[str, Any] = {**OUTER, "no_cpython_wrapper": True}
+LEAF: dict[str, Any] = {**INNER, "_nrt": False}  # as kernels.leaf: makes no array, calls only such
 
 # --- kernels -------------------------------------------------------------------------------------------------------
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _over_ground(space: SpaceArrays, rules: Rules, leg: FloatArray) -> bool:
     """Return whether a leg keeps its height above ground; strides as far as the ground's slope allows."""
     ex, ey, ez = leg[1, 0] - leg[0, 0], leg[1, 1] - leg[0, 1], leg[1, 2] - leg[0, 2]
@@ -66,7 +67,7 @@ def _over_ground(space: SpaceArrays, rules: Rules, leg: FloatArray) -> bool:
         s = min(length, s + stride)
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _crosses_wall(walls: FloatArray, leg: FloatArray) -> bool:
     """Return whether a leg passes through a wall: rows of centre, normal, open direction (3 each), depth, reach."""
     for n in range(walls.shape[0]):
@@ -106,18 +107,18 @@ def leg_ok(space: SpaceArrays, rules: Rules, walls: FloatArray, leg: FloatArray,
     return clear
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def leg_length(leg: FloatArray) -> float:
     """Return the length of a leg (2, 3)."""
     return math.sqrt((leg[0, 0] - leg[1, 0]) ** 2 + (leg[0, 1] - leg[1, 1]) ** 2 + (leg[0, 2] - leg[1, 2]) ** 2)
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _distance(p: FloatArray, i: int, j: int) -> float:
     return math.sqrt((p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2)
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _corner(p: FloatArray, b: int, step: int, f: float, out: FloatArray) -> None:
     """Write where a step of :func:`pull`, done to the share ``f``, puts the corner ``p[b]``: two rows after a cut."""
     ab, bc = max(_distance(p, b - 1, b), 1e-9), max(_distance(p, b, b + 1), 1e-9)
@@ -254,7 +255,7 @@ class _Sum(NamedTuple):
     shift_m: float  # how far below the margin barriers end
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _barrier(room_m: float, reach_m: float, s: float, add: _Sum, derive: bool) -> float:
     """Return the barrier of a distance beyond its margin, 0 from ``reach_m`` on; inf a hair below the margin.
 
@@ -277,7 +278,7 @@ def _barrier(room_m: float, reach_m: float, s: float, add: _Sum, derive: bool) -
     return near - 1.0 - math.log(near)
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _room(space: SpaceArrays, rules: Rules, i: int, x: float, y: float, z: float) -> float:
     """Return how far a place is beyond the margin of solid ``i``; for i = -1, of fence and area."""
     if i < 0:
@@ -287,14 +288,14 @@ def _room(space: SpaceArrays, rules: Rules, i: int, x: float, y: float, z: float
     return away
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _beside_upright(o: kernels.ObstacleArrays, i: int, a: FloatArray, b: FloatArray) -> bool:
     """Return whether solid ``i`` is a cylinder that ends no lower than a leg."""
     beside: bool = o.kind[i] == kernels.CYLINDER and max(a[2], b[2]) <= o.params[i, 3]
     return beside
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _nearest(space: SpaceArrays, rules: Rules, i: int, a: FloatArray, b: FloatArray) -> float:
     """Return where along a-b solid ``i`` (-1: fence and area) is nearest; exact for upright cylinders."""
     o = space.obstacles
@@ -326,7 +327,7 @@ def _nearest(space: SpaceArrays, rules: Rules, i: int, a: FloatArray, b: FloatAr
     return at if best <= min(d_left, d_right) else s
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _solid_barrier(
     space: SpaceArrays, rules: Rules, i: int, a: FloatArray, b: FloatArray, reach_m: float, add: _Sum, derive: bool
 ) -> float:
@@ -354,7 +355,7 @@ def _solid_barrier(
     return total
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _height_barrier(
     space: SpaceArrays,
     rules: Rules,
@@ -406,7 +407,7 @@ def _height_barrier(
         s = min(length, s + stride)
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _leg_barrier(
     space: SpaceArrays, rules: Rules, a: FloatArray, b: FloatArray, reach_m: float, add: _Sum, derive: bool
 ) -> float:
@@ -450,7 +451,7 @@ def _leg_barrier(
     return total
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _merit(
     space: SpaceArrays, rules: Rules, p: FloatArray, size: int, weight: float, reach_m: float, add: _Sum
 ) -> float:
@@ -505,7 +506,7 @@ def _derive(
     return total
 
 
-@njit(**INNER)
+@njit(**LEAF)
 def _solve(band: FloatArray, count: int, x: FloatArray) -> bool:
     """Solve in place a symmetric positive definite system of which ``band`` is the lower band; False if it is not."""
     for j in range(count):
