@@ -39,7 +39,7 @@ Progress = Callable[[str, float], None]
 VEHICLES = (1, 5, 20, 100)
 OBSTACLES = (10, 100, 1_000)
 CELLS = (1_000_000, 10_000_000, 100_000_000)
-_QUICK = ((1, 3), (10, 30), (10_000, 100_000))
+_QUICK = ((1, 3), (10, 30), (90_000, 360_000))
 
 _LAT_DEG, _LON_DEG = 46.5, 8.0
 _LANE_M = 60.0
