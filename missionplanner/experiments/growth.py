@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import rasterio
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from rasterio.transform import Affine
 from rasterio.windows import Window
@@ -31,7 +32,6 @@ from missionplanner.experiments.document import joined, machine
 from missionplanner.files import ensure_writable, replacing, write_atomic, write_csv
 from missionplanner.geodesy import LocalFrame
 from missionplanner.mission import parse_mission
-from missionplanner.report import style
 from missionplanner.scene import build_scene
 
 Progress = Callable[[str, float], None]
@@ -255,26 +255,25 @@ def _drawn(measured: Sequence[Measured]) -> Figure:
         ("obstacles", ("obstacles",)),
         ("cells", ("terrain, a corner", "terrain, all")),
     )
-    with style.look():
-        figure = style.new_figure(4.6, 9.0)
-        figure.set_layout_engine("constrained")
-        axes = figure.subplots(2, len(panels), sharex="col", sharey="row")
-        for column, (label, kinds) in enumerate(panels):
-            for what in kinds:
-                found = [m for m in measured if m.what == what and not m.refused]
-                if not found:
-                    continue
-                sizes = [m.size for m in found]
-                power = exponent(measured, what)
-                name = what + (f": size^{power:.2f}" if power is not None else "")
-                axes[0, column].loglog(sizes, [m.cpu_s for m in found], "o-", color=colours[what], label=name)
-                axes[1, column].loglog(sizes, [max(m.memory_mb, 1.0) for m in found], "o-", color=colours[what])
-            axes[1, column].set_xlabel(label)
-            for ax in axes[:, column]:
-                ax.grid(True)
-                ax.set_axisbelow(True)
-            if axes[0, column].lines:
-                axes[0, column].legend(fontsize=7.5, loc="upper left")
-        axes[0, 0].set_ylabel("processor, s")
-        axes[1, 0].set_ylabel("memory, MB")
+    figure = Figure(figsize=(9.0, 4.6), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, len(panels), sharex="col", sharey="row")
+    for column, (label, kinds) in enumerate(panels):
+        for what in kinds:
+            found = [m for m in measured if m.what == what and not m.refused]
+            if not found:
+                continue
+            sizes = [m.size for m in found]
+            power = exponent(measured, what)
+            name = what + (f": size^{power:.2f}" if power is not None else "")
+            axes[0, column].loglog(sizes, [m.cpu_s for m in found], "o-", color=colours[what], label=name)
+            axes[1, column].loglog(sizes, [max(m.memory_mb, 1.0) for m in found], "o-", color=colours[what])
+        axes[1, column].set_xlabel(label)
+        for ax in axes[:, column]:
+            ax.grid(True)
+            ax.set_axisbelow(True)
+        if axes[0, column].lines:
+            axes[0, column].legend(fontsize=7.5, loc="upper left")
+    axes[0, 0].set_ylabel("processor, s")
+    axes[1, 0].set_ylabel("memory, MB")
     return figure

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numba import njit
 
@@ -30,7 +31,6 @@ from missionplanner.experiments.uav_objective import Instance
 from missionplanner.files import ensure_writable, replacing, write_atomic, write_csv
 from missionplanner.geodesy import FloatArray
 from missionplanner.mission import load_mission
-from missionplanner.report import style
 from missionplanner.scene import build_scene
 from missionplanner.search.run import minimise
 
@@ -303,25 +303,28 @@ def report(measured: Sequence[Measured], pace: float) -> str:
 def _drawn(measured: Sequence[Measured]) -> Figure:
     objective = [m for m in measured if m.kernel == "UAV objective"]
     prices = [m for m in measured if m.kernel == "price"]
-    with style.look():
-        figure = style.new_figure(0.9 + 0.36 * len(objective) + 0.4 * bool(prices) * (2 + len(prices)), 7.4)
-        figure.set_layout_engine("constrained")
-        panels = [p for p in (objective, prices) if p]
-        axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=[len(p) + 1 for p in panels])[:, 0]
-        for ax, panel in zip(axes, panels, strict=True):
-            place = np.arange(len(panel))
-            one = np.array([1e3 / m.each_us for m in panel])
-            bars = [("two cores", one * [m.times_two_cores for m in panel], "#56b4e9"), ("one core", one, "#0072b2")]
-            if any(m.yardstick_us for m in panel):
-                theirs = np.array([1e3 / (m.yardstick_us or np.nan) for m in panel])
-                bars.append(("yardstick, one core", theirs, "#d55e00"))
-            for k, (label, values, colour) in enumerate(bars):
-                ax.barh(place + 0.27 * (k - 1), values, 0.26, color=colour, label=label)
-            ax.set_yticks(place, [m.case for m in panel])
-            ax.invert_yaxis()
-            ax.set_xlabel("thousands of evaluations per second")
-            ax.set_title("UAV path objective" if panel is objective else "price of paths", loc="left", fontsize=9)
-            ax.grid(True, axis="x")
-            ax.set_axisbelow(True)
-        axes[0].legend(fontsize=7.5, loc="lower right", frameon=True, edgecolor="none")
+    figure = Figure(
+        figsize=(7.4, 0.9 + 0.36 * len(objective) + 0.4 * bool(prices) * (2 + len(prices))),
+        dpi=150,
+        layout="constrained",
+    )
+    FigureCanvasAgg(figure)
+    panels = [p for p in (objective, prices) if p]
+    axes = figure.subplots(len(panels), 1, squeeze=False, height_ratios=[len(p) + 1 for p in panels])[:, 0]
+    for ax, panel in zip(axes, panels, strict=True):
+        place = np.arange(len(panel))
+        one = np.array([1e3 / m.each_us for m in panel])
+        bars = [("two cores", one * [m.times_two_cores for m in panel], "#56b4e9"), ("one core", one, "#0072b2")]
+        if any(m.yardstick_us for m in panel):
+            theirs = np.array([1e3 / (m.yardstick_us or np.nan) for m in panel])
+            bars.append(("yardstick, one core", theirs, "#d55e00"))
+        for k, (label, values, colour) in enumerate(bars):
+            ax.barh(place + 0.27 * (k - 1), values, 0.26, color=colour, label=label)
+        ax.set_yticks(place, [m.case for m in panel])
+        ax.invert_yaxis()
+        ax.set_xlabel("thousands of evaluations per second")
+        ax.set_title("UAV path objective" if panel is objective else "price of paths", loc="left", fontsize=9)
+        ax.grid(True, axis="x")
+        ax.set_axisbelow(True)
+    axes[0].legend(fontsize=7.5, loc="lower right", frameon=True, edgecolor="none")
     return figure
