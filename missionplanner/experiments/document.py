@@ -41,7 +41,7 @@ def collect(document: Path, results: Path) -> list[str]:
     """Replace every marked section of a Markdown document whose experiment has results; return their names.
 
     A section NAME stands between ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``. It becomes the ``results.md`` of
-    the folder ``experiment_NAME`` (dashes may be underscores there) without its title, headings two levels deeper.
+    the folder ``experiment_NAME`` (dashes may be underscores there) without its title, headings one level deeper.
     Pictures that it shows are copied to the folder ``figures`` beside the document.
 
     Raises
@@ -87,7 +87,7 @@ def _section(folder: Path, name: str, figures: Path) -> str:
     lines = (folder / "results.md").read_text(encoding="utf-8").strip().split("\n")
     if lines[0].startswith("# "):
         lines = lines[1:]
-    text = _HEADING.sub(r"##\1", "\n".join(lines).strip("\n"))
+    text = _HEADING.sub(r"#\1", "\n".join(lines).strip("\n"))
 
     def copied(match: re.Match[str]) -> str:
         picture = folder / match["file"]

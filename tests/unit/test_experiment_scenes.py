@@ -261,7 +261,7 @@ def test_results_are_collected(tmp_path: Path) -> None:
     assert collect(document, tmp_path) == ["scenes-2d"]
     told = document.read_text(encoding="utf-8")
     assert (
-        "<!-- scenes-2d: begin -->\n#### Part\n\nnew\n\n![a](figures/scenes-2d-paths.png)\n<!-- scenes-2d: end -->"
+        "<!-- scenes-2d: begin -->\n### Part\n\nnew\n\n![a](figures/scenes-2d-paths.png)\n<!-- scenes-2d: end -->"
         in told
     )
     assert told.startswith("# All\n\nKept.\n")
