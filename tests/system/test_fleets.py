@@ -39,8 +39,8 @@ def test_copters(end: str, rules: dict[str, Any]) -> None:
         assert flown.arrival_s == pytest.approx(planned.arrival_s, abs=0.15)
         assert (flown.landed_s is None) == (end == "loiter")
         if flown.landed_s is not None:
-            # a PX4 vehicle that climbs for its return does so at once or some seconds later, by a centimetre of where it
-            # came to rest
+            # a PX4 vehicle that climbs for its return does so at once or some seconds later: a centimetre of where it
+            # came to rest decides
             late_s = 5.0 if end == "rtl" and scene.tasks[index].motion.autopilot == "px4" else 0.5
             assert flown.landed_s == pytest.approx(planned.trajectory.t_s[-1], abs=late_s)
     if rules.get("arrive_together", True):
