@@ -41,6 +41,7 @@ FloatArray = npt.NDArray[np.float64]
 Price = Callable[[FloatArray], npt.ArrayLike]  # (P, D) -> (P,)
 
 _STEP = 1.1  # a curve keeps one point per this factor of evaluations
+_WORST = 1e100  # what others are told of a point without a price: some cannot compute with infinity, or NaN
 
 
 class BudgetSpent(Exception):  # noqa: N818 - a signal, not a failure
@@ -54,7 +55,8 @@ class Tally:
     ----------
     used : points priced; never above ``evaluations``.
     best, cost : the cheapest of them (D,), as it was priced, and its cost.
-    spent : whether more was asked for than evaluations or seconds allow.
+    spent : whether more was asked for than evaluations or seconds allow. Seconds are the processor's: others that
+        are at work on the machine take none of them.
     """
 
     def __init__(
@@ -64,7 +66,7 @@ class Tally:
         upper: FloatArray,
         evaluations: int,
         seconds: float | None = None,
-        clock: Callable[[], float] = time.perf_counter,
+        clock: Callable[[], float] = time.process_time,
     ) -> None:
         self.lower, self.upper, self.evaluations = lower, upper, evaluations
         self.used, self.spent = 0, False
@@ -78,8 +80,10 @@ class Tally:
         """The number of coordinates."""
         return len(self.lower)
 
-    def batch(self, points: npt.ArrayLike) -> FloatArray:
+    def batch(self, points: npt.ArrayLike, worst: float = _WORST) -> FloatArray:
         """Return the prices (P,) of points (P, D), those outside the box as where they leave it.
+
+        What is NaN or infinite is told as ``worst``.
 
         Raises
         ------
@@ -92,13 +96,14 @@ class Tally:
         asked = np.minimum(np.maximum(points, self.lower), self.upper)
         rows = asked[:left]
         cost = np.asarray(self._price(rows), dtype=float)
-        first = int(np.argmin(np.where(np.isnan(cost), np.inf, cost)))
+        cost = np.where(np.isnan(cost), np.inf, cost)
+        first = int(np.argmin(cost))
         if cost[first] < self.cost:
             self._keep(rows[first], float(cost[first]), self.used + first + 1)
         self.used += len(rows)
         if len(rows) < len(asked):
             self._end()
-        return cost
+        return np.where(cost == np.inf, worst, cost)
 
     def single(self, point: npt.ArrayLike) -> float:
         """Return the price of one point (D,), as :meth:`batch` would, with less ado."""
@@ -109,7 +114,7 @@ class Tally:
         self.used += 1
         if cost < self.cost:
             self._keep(row, cost, self.used)
-        return cost
+        return cost if cost < math.inf else _WORST
 
     def unit(self, points: npt.ArrayLike) -> FloatArray:
         """Return the prices (P,) of points (P, D) of the unit box."""
@@ -166,13 +171,16 @@ class Contender:
         return self.ours or bool(_version(self.library))
 
     def digest(self) -> str:
-        """Return what its results depend on, besides problem, budget and seed, as a short digest."""
+        """Return what its results depend on, besides problem, budget and seed, as a short digest.
+
+        All of this file counts but who is in :data:`PEERS`: others' runs stay valid when somebody is added.
+        """
         call = self.search
         assert isinstance(call, partial)
         depends: dict[str, Any] = {
             "libraries": {name: _version(name) for name in (self.library, "numpy", "scipy") if name},
             "with": repr(sorted(call.keywords.items())),
-            "source": inspect.getsource(call.func),
+            "source": _adapters(),
         }
         if self.ours:
             algorithm = find_algorithm(self.name)
@@ -192,6 +200,7 @@ class Contender:
         evaluations: int,
         seed: int,
         seconds: float | None = None,
+        clock: Callable[[], float] = time.process_time,
     ) -> Tally:
         """Search once; return what was counted and found.
 
@@ -203,7 +212,7 @@ class Contender:
         if not self.installed:
             raise MissionError(f"{self.name}: expected {self.library}, which is not installed: {INSTALL}")
         library = _loaded(self.library) if self.library else None
-        tally = Tally(price, lower, upper, evaluations, seconds)
+        tally = Tally(price, lower, upper, evaluations, seconds, clock)
         try:
             self.search(library, tally, seed)
         except Exception:  # C++ libraries turn the tally's signal into errors of their own
@@ -221,6 +230,27 @@ def _version(library: str) -> str:
         return version_of_package(library)
     except PackageNotFoundError:
         return ""
+
+
+@cache
+def code_of(module: str, without: str = "") -> str:
+    """Return a module's code without comments and layout, and without one of its names."""
+    path = Path(__file__).parents[2].joinpath(*module.split(".")).with_suffix(".py")
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            node.body = [part for part in node.body if not _says_nothing(part, without)] or [ast.Pass()]
+    return ast.unparse(tree)
+
+
+def _says_nothing(part: ast.stmt, without: str) -> bool:
+    documents = isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant)
+    left_out = isinstance(part, ast.AnnAssign) and isinstance(part.target, ast.Name) and part.target.id == without
+    return documents or left_out
+
+
+def _adapters() -> str:
+    return code_of(__name__, without="PEERS")
 
 
 @cache
@@ -258,7 +288,8 @@ def _imported(module: Any) -> Iterator[str]:
 
 
 def _our(_library: None, tally: Tally, seed: int, algorithm: str) -> None:
-    minimise(tally.batch, tally.lower, tally.upper, algorithm=algorithm, evaluations=tally.evaluations, seed=seed)
+    price = partial(tally.batch, worst=math.inf)
+    minimise(price, tally.lower, tally.upper, algorithm=algorithm, evaluations=tally.evaluations, seed=seed)
 
 
 # --- theirs ----------------------------------------------------------------------------------------------------------
@@ -392,7 +423,13 @@ def _peer(library: str, name: str, search: Run, how: str = "", *, slow: bool = F
 _ENDLESS: dict[str, Any] = {"ftol": 0.0, "xtol": 0.0}
 
 PEERS: tuple[Contender, ...] = (
-    *(_peer("minionpy", name, _minionpy, algorithm=name) for name in ("ARRDE", "jSO", "LSHADE", "AGSK", "j2020")),
+    *(
+        _peer("minionpy", name, _minionpy, algorithm=name)
+        for name in (
+            *("ARRDE", "jSO", "LSHADE", "AGSK", "j2020", "NLSHADE_RSP", "JADE", "RDEX", "LSRTDE", "LSHADE_cnEpSin"),
+            *("IMODE", "SPSO2011"),
+        )
+    ),
     *(
         _peer("pygmo", name, _pygmo, how, algorithm=name, populations=populations, **settings)
         for name, how, populations, settings in (

@@ -6,7 +6,7 @@ import os
 import platform
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
@@ -22,16 +22,32 @@ _HEADING = re.compile(r"^(#+ )", re.MULTILINE)
 _LIBRARIES = ("numpy", "numba", "scipy")
 
 
+def provenance() -> dict[str, str]:
+    """Return where and when a run is made, to be kept with its result: others may be of other days or machines."""
+    return {"machine": processor(), "date": time.strftime("%Y-%m-%d")}
+
+
+def gathered(runs: Iterable[Mapping[str, str]]) -> tuple[str, bool]:
+    """Return on what and when runs were made by their :func:`provenance`, and whether their times compare."""
+    kept = list(runs)
+    machines, dates = sorted({run["machine"] for run in kept}), sorted({run["date"] for run in kept})
+    libraries = ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
+    when = f"of {dates[0]}" if len(dates) == 1 else f"from {dates[0]} to {dates[-1]}"
+    on = f"on {machines[0]}" if len(machines) == 1 else f"of {len(machines)} machines ({'; '.join(machines)})"
+    return f"Runs {when} {on}, a thread each; {libraries}.", len(machines) == 1
+
+
 def machine() -> str:
     """Return on what and when something is measured, as one sentence."""
     libraries = ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
     return (
-        f"Measured on {time.strftime('%d %B %Y').lstrip('0')}: {_processor()}, {os.cpu_count()} cores, "
+        f"Measured on {time.strftime('%d %B %Y').lstrip('0')}: {processor()}, {os.cpu_count()} cores, "
         f"{platform.system()}, Python {platform.python_version()}, {libraries}."
     )
 
 
-def _processor() -> str:
+def processor() -> str:
+    """Return the name of this machine's processor."""
     names = Path("/proc/cpuinfo")
     found = re.search(r"^model name\s*:\s*(.+)$", names.read_text(), re.MULTILINE) if names.exists() else None
     return found[1].strip() if found else platform.processor() or platform.machine()

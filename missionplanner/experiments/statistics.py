@@ -79,6 +79,21 @@ def rank_sum(one: npt.ArrayLike, other: npt.ArrayLike) -> float:
     return float(stats.mannwhitneyu(first, second, method="asymptotic").pvalue)
 
 
+def stratified_rank_sum(strata: Sequence[tuple[npt.ArrayLike, npt.ArrayLike]]) -> float:
+    """Return p of van Elteren's test: rank sums of independent runs (N,), (M,) on several problems, taken together.
+
+    Runs are ranked within their problem alone, so problems may be of any scale; ties are corrected for.
+    """
+    away = scatter = 0.0
+    for one, other in strata:
+        first, second = np.asarray(one, dtype=float), np.asarray(other, dtype=float)
+        n, m = len(first), len(second)
+        ranks = stats.rankdata(np.concatenate([first, second]))
+        away += float((ranks[:n] - 0.5 * (n + m + 1)).sum()) / (n + m + 1)
+        scatter += n * m * float(ranks.var(ddof=1)) / (n + m) / (n + m + 1) ** 2
+    return 1.0 if scatter == 0.0 else float(2.0 * stats.norm.sf(abs(away) / scatter**0.5))
+
+
 def paired(values: npt.ArrayLike, names: Sequence[str], reference: str) -> list[Comparison]:
     """Compare ``reference`` with every other algorithm over the same problems (N, K), by signed ranks."""
     table = np.asarray(values, dtype=float)
