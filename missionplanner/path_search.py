@@ -302,9 +302,9 @@ def _swarm(
     it. A swarm that gains nothing for a while stops.
     """
     family, least = replace(around.family, base_m=around.path_m), around.cost
-    improves = finds.budget.improves
+    left_s = finds.budget.left_s  # asked once: it runs
     evaluations = settings.population * settings.iterations
-    patience = _LONG_PATIENCE if improves else _PATIENCE
+    patience = _LONG_PATIENCE if left_s > 0.0 else _PATIENCE
     shaken = family.centre + rng.normal(0.0, 0.1, (settings.population // 2, family.dimensions))
     elsewhere, elsewhere_cost = family.base_m, math.inf
     gained, idle = least, 0
@@ -338,7 +338,7 @@ def _swarm(
             population=settings.population,
             initial=np.concatenate([family.centre[np.newaxis], shaken]),
             callback=seen_enough,
-            seconds=finds.budget.left_s if improves else None,
+            seconds=left_s or None,
             clock=finds.budget.clock or (lambda: 0.0),
         )
         finds.evaluations += result.evaluations

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from missionplanner.clearance import Margins, legs_clear, legs_within_angles, po
 from missionplanner.cost import Price
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
-from missionplanner.path_search import PlannedPath, find_path
+from missionplanner.path_search import Budget, PlannedPath, find_path
 from missionplanner.scene import Scene
 from tests.scenes import at, copter, question, scene_of
 
@@ -43,6 +44,7 @@ def found(
     flown_is_clear: Callable[[FloatArray], bool] = lambda waypoints_m: True,
     on_iteration: Callable[[float], None] | None = None,
     wider_m: float = 0.0,
+    budget: Budget | None = None,
 ) -> PlannedPath:
     return find_path(
         scene.tasks[0],
@@ -55,6 +57,7 @@ def found(
         flown_is_clear,
         on_iteration,
         wider_m,
+        budget,
     )
 
 
@@ -229,3 +232,11 @@ def test_limits_that_are_changed_are_kept() -> None:
     assert_flyable(low, path)
     assert path.path_m[:, 2].max() <= 145.0 + 1e-6
     assert replace(low.tasks[0].limits).height_agl_max_m == 50.0
+
+
+def test_time_may_run_out_at_any_reading_of_the_clock() -> None:
+    around = scene(obstacles=[MAST], planner={"population": 6, "iterations": 4})
+    for ticks in range(1, 40):
+        clock = count().__next__
+        assert_flyable(around, found(around, budget=Budget(clock, float(ticks))))
+        assert clock() > ticks  # all of it is used
