@@ -108,7 +108,7 @@ _ALGORITHMS = (
     Algorithm(
         "abc-sa",
         "artificial bee colony with annealing",
-        "Yurtkuran & Emel 2016, doi:10.1155/2016/8085953",
+        "the Metropolis rule in ABC, an idea of Yurtkuran & Emel 2016, doi:10.1155/2016/8085953",
         partial(Stepwise, annealed_bee_colony),
         bee_sources,
     ),
@@ -155,7 +155,7 @@ _ALGORITHMS = (
     ),
     Algorithm(
         "coa",
-        "crayfish optimisation",
+        "crayfish optimisation (the paper does not say which COA)",
         "Jia, Rao, Wen & Mirjalili 2023, doi:10.1007/s10462-023-10567-4",
         partial(Stepwise, crayfish),
     ),
@@ -175,6 +175,8 @@ def find_algorithm(name: str) -> Algorithm:
     MissionError
         There is none; the nearest names are suggested.
     """
+    if not isinstance(name, str):
+        raise MissionError(f"algorithm: expected a name, as '{_ALGORITHMS[0].name}', got {name!r}")
     by_name = {algorithm.name: algorithm for algorithm in _ALGORITHMS}
     if name in by_name:
         return by_name[name]

@@ -42,19 +42,27 @@ def minimise(
     population : size of the first population; None leaves it to the algorithm.
     initial : (P0, D) first guesses, clipped to the box; they replace random members of the first population, and at
         most ``population`` of them are used.
-    iterations : stop after so many generations.
+    iterations : stop after so many calls of ``cost``. An algorithm in phases (bees, sparrows) calls it more than once
+        in what its paper counts as one iteration.
     seconds : stop at the end of the generation in which ``clock`` has advanced so far.
     target : stop when the best cost is at or below it.
-    callback : called with (evaluations so far, best cost) after every generation; stops the search by returning true.
+    callback : called with (evaluations so far, best cost) after every call of ``cost``; stops the search by returning
+        true.
 
     Raises
     ------
     MissionError
         An unknown algorithm, a box that is empty or not finite, a budget or population below one, first guesses or
-        costs of the wrong shape, a cost that is NaN everywhere.
+        costs of the wrong shape, a cost that is NaN everywhere; anything of the wrong kind.
     """
-    began, least = clock(), -math.inf if target is None else target
+    began = clock()
     chosen = find_algorithm(algorithm)
+    _function("cost", cost)
+    if callback is not None:
+        _function("callback", callback)
+    least = -math.inf if target is None else _number("target", target)
+    if math.isnan(least):
+        raise MissionError("target: expected a number, got nan")
     low, high = _box(lower, upper)
     _at_least("evaluations", evaluations, 1)
     _at_least("seed", seed, 0)
@@ -63,11 +71,14 @@ def minimise(
     _at_least("population", population, 1)
     if iterations is not None:
         _at_least("iterations", iterations, 1)
-    if seconds is not None and not seconds > 0.0:
+    if seconds is not None and not _number("seconds", seconds) > 0.0:
         raise MissionError(f"seconds: expected above 0, got {seconds:g}")
     rng = np.random.default_rng(seed)
     span = high - low
-    first = rng.random((population, len(low)))
+    try:
+        first = rng.random((population, len(low)))
+    except (MemoryError, ValueError) as error:  # numpy has two words for it
+        raise MissionError(f"population: expected one that fits into memory, got {population}") from error
     if initial is not None:
         guesses = _guesses(initial, low, high)[:population]
         first[: len(guesses)] = (guesses - low) / np.where(span > 0.0, span, 1.0)
@@ -125,6 +136,17 @@ def _at_least(name: str, value: int, least: int) -> None:
         raise MissionError(f"{name}: expected at least {least}, got {value}")
 
 
+def _number(name: str, value: float) -> float:
+    if not isinstance(value, numbers.Real) or isinstance(value, bool):
+        raise MissionError(f"{name}: expected a number, got {value!r}")
+    return float(value)
+
+
+def _function(name: str, value: object) -> None:
+    if not callable(value):
+        raise MissionError(f"{name}: expected a function, got {value!r}")
+
+
 def _guesses(initial: npt.ArrayLike, low: FloatArray, high: FloatArray) -> FloatArray:
     guesses = _numbers("initial", initial)
     if guesses.ndim != 2 or guesses.shape[1] != len(low):
@@ -137,6 +159,8 @@ def _guesses(initial: npt.ArrayLike, low: FloatArray, high: FloatArray) -> Float
 
 def _numbers(name: str, values: npt.ArrayLike) -> FloatArray:
     try:
+        if np.iscomplexobj(values):
+            raise TypeError("they are complex")  # numpy would drop half of them
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise MissionError(f"{name}: expected an array of numbers ({error})") from error

@@ -21,9 +21,9 @@ def sparrows(initial: FloatArray, evaluations: int, rng: np.random.Generator) ->
     population, dimensions = initial.shape
     best = centred(initial)
     cost = (yield initial).copy()
-    generations = max(evaluations // population, 1)
     producers = max(round(_PRODUCERS * population), 1)
     aware = max(round(_AWARE * population), 1)
+    generations = max(evaluations // (population + aware), 1)  # a generation prices the aware twice
     number = np.arange(1.0, population + 1.0)[:, None]
     while True:
         order = np.argsort(cost, kind="stable")
