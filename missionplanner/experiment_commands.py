@@ -13,6 +13,7 @@ import typer
 from rich.progress import TaskID
 
 from missionplanner.errors import MissionError
+from missionplanner.experiments.campaign import claim, mark
 from missionplanner.terminal import Told, print_json, progress_bars, stdout
 
 Show = Callable[[str, float], None]
@@ -50,7 +51,9 @@ def run(
                 bars[what] = progress.add_task(what, total=1.0)
             progress.update(bars[what], completed=done)
 
+        claim(folder, name)
         figures = measure(folder, show)
+        mark(folder, name)
     if as_json:
         print_json(figures)
     else:
@@ -290,7 +293,10 @@ def collect(
 def peers(
     output: Output = None,
     instances: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="instances (.npz) of the UAV objective")
+        Path | None,
+        typer.Option(
+            metavar="FOLDER", help="instances (.npz) of the UAV objective; a cluster's workers read the same path"
+        ),
     ] = None,
     scene: Annotated[
         list[Path] | None,
@@ -298,7 +304,7 @@ def peers(
     ] = None,
     evaluations: Annotated[str, typer.Option(metavar="N,N,...", help="on the UAV objective")] = "10000,100000",
     seeds: Annotated[int, typer.Option(min=1, help="of every search")] = 15,
-    seconds: Annotated[float | None, typer.Option(min=0.01, help="the same wall time for all instead")] = None,
+    seconds: Annotated[float | None, typer.Option(min=0.01, help="the same processor time for all instead")] = None,
     slow_peers: Annotated[
         bool, typer.Option("--slow-peers", help="mealpy and cma beyond 10,000 evaluations too")
     ] = False,

@@ -34,9 +34,14 @@ Keep = Callable[["Job", dict[str, Any]], None]
 RUNS_NAME = "runs.jsonl"
 """The file of a campaign's results: what it is of, then a line per run."""
 
+MARK_NAME = ".experiment"
+"""The file that says whose results a folder holds."""
+
 CONNECT_S = 5.0
 """How long a cluster may take to answer."""
 
+_OTHER = "choose another folder by --output"
+_fcntl: Any = import_module("fcntl") if os.name == "posix" else None
 _ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("NUMBA", "OMP", "OPENBLAS", "MKL")}
 _PACKAGES = ("numpy", "numba", "scipy")  # what the last bits of a result depend on
 
@@ -73,12 +78,26 @@ def run(
     Raises
     ------
     MissionError
-        A folder of other results; a cluster that cannot be reached or runs other software; a worker that died. What
-        was known before is kept.
+        A folder of other results, or where another campaign is at work; a cluster that cannot be reached or runs other
+        software; a worker that died. What was known before is kept.
     """
     assert len({job.key for job in jobs}) == len(jobs), "two jobs have one key"
     if workers is not None and workers < 1:
         raise MissionError(f"workers: expected at least 1, got {workers}")
+    ensure_writable(folder)
+    with _alone(folder):
+        return _run(jobs, folder, experiment, version, workers, cluster, progress)
+
+
+def _run(
+    jobs: Sequence[Job],
+    folder: Path,
+    experiment: str,
+    version: str,
+    workers: int | None,
+    cluster: str | None,
+    progress: Progress | None,
+) -> dict[str, dict[str, Any]]:
     kept = _Kept(folder, experiment, version)
     missing = [job for job in jobs if job.key not in kept.results]
     todo = len(missing)
@@ -133,11 +152,10 @@ class _Kept:
     """Results in a file: read when made, then one line more for each, on the disk before the next is begun."""
 
     def __init__(self, folder: Path, experiment: str, version: str) -> None:
-        ensure_writable(folder)
         self.results: dict[str, dict[str, Any]] = {}
         path = folder / RUNS_NAME
         head = {"experiment": experiment, "version": version}
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines() if path.exists() else []
+        lines = _read(path).splitlines() if path.exists() else []
         if lines:
             _check_head(path, _parsed(lines[0]), head, empty=len(lines) == 1)
         for line in lines[1:]:
@@ -157,18 +175,75 @@ class _Kept:
         self.results[key] = json.loads(line)["result"]  # the same whether just run or read again
 
 
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep other campaigns out of a folder meanwhile: two would write over each other's lines."""
+    if _fcntl is None:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        _fcntl.flock(handle, _fcntl.LOCK_EX | _fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise MissionError(
+            f"{folder}: expected a folder that nobody writes to, got one where another experiment is at work: wait "
+            "for it, or choose another folder by --output"
+        ) from None
+    except OSError:  # a file system without locks, as some networks'
+        pass
+    try:
+        yield
+    finally:
+        os.close(handle)
+
+
+def claim(folder: Path, experiment: str) -> None:
+    """Refuse a folder that holds the results of another experiment.
+
+    Raises
+    ------
+    MissionError
+        It holds them, or results without a word whose they are.
+    """
+    said, runs = folder / MARK_NAME, folder / RUNS_NAME
+    if said.is_file():
+        owner = _read(said).strip()
+    elif runs.is_file():
+        owner = str((_parsed(_read(runs).partition("\n")[0]) or {}).get("experiment", "something else"))
+    elif (folder / "results.md").exists():
+        owner = "something else"
+    else:
+        return
+    if owner != experiment:
+        raise MissionError(
+            f"{folder}: expected a new folder or one of experiment {experiment}, got results of {owner}: {_OTHER}"
+        )
+
+
+def mark(folder: Path, experiment: str) -> None:
+    """Say whose results a folder holds, for :func:`claim`."""
+    write_atomic(folder / MARK_NAME, f"{experiment}\n")
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise MissionError(f"{path}: expected a file that can be read, got: {error.strerror}: {_OTHER}") from error
+
+
 def _check_head(path: Path, found: dict[str, Any] | None, wanted: dict[str, str], *, empty: bool) -> None:
-    other = "choose another folder by --output"
     if found is None or "experiment" not in found:
-        raise MissionError(f"{path}: expected the runs of {wanted['experiment']}, got another file: {other}")
+        raise MissionError(f"{path}: expected the runs of {wanted['experiment']}, got another file: {_OTHER}")
     if found["experiment"] != wanted["experiment"]:
         raise MissionError(
-            f"{path}: expected the runs of {wanted['experiment']}, got those of {found['experiment']}: {other}"
+            f"{path}: expected the runs of {wanted['experiment']}, got those of {found['experiment']}: {_OTHER}"
         )
     if found != wanted and not empty:
         raise MissionError(
             f"{path}: expected runs of this software with these settings, got those of another version or of other "
-            f"settings: {other}, or delete this file to begin anew"
+            f"settings: {_OTHER}, or delete this file to begin anew"
         )
 
 
@@ -234,7 +309,7 @@ def _in_processes(jobs: Sequence[Job], workers: int | None, keep: Keep) -> list[
 def _pool(workers: int) -> Iterator[Executor]:
     """Yield processes that start afresh, with a thread each; an error, also Ctrl-C, ends them at once."""
     before = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
+    pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"), initializer=begin)
     try:
         yield pool
     except BaseException:
@@ -246,8 +321,11 @@ def _pool(workers: int) -> Iterator[Executor]:
         pool.shutdown()
 
 
-def _begin() -> None:
-    """Leave Ctrl-C to the parent, and end with it however it ends; numpy and numba come later, to one thread."""
+def begin() -> None:
+    """Begin a process that works for its parent: one thread for numpy and numba, which come later.
+
+    Ctrl-C is left to the parent, and it ends when the parent does, however that ends.
+    """
     os.environ.update(_ONE_THREAD)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()

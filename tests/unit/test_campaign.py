@@ -128,6 +128,44 @@ def test_other_results_are_refused(tmp_path: Path) -> None:
         run(squares(1), tmp_path, experiment="squares", version="1")
     with pytest.raises(MissionError, match="workers: expected at least 1"):
         run(squares(1), tmp_path / "new", experiment="squares", version="1", workers=0)
+    (tmp_path / "odd" / RUNS_NAME).mkdir(parents=True)
+    with pytest.raises(MissionError, match="expected a file that can be read, got: Is a directory"):
+        run(squares(1), tmp_path / "odd", experiment="squares", version="1")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders are locked by fcntl")
+def test_two_campaigns_at_once_do_not_share_a_folder(tmp_path: Path) -> None:
+    """The second is refused while the first runs, not after; nor after it failed."""
+    seen: list[str] = []
+
+    def told(_what: str, done: float) -> None:
+        if done < 1.0:
+            with pytest.raises(MissionError, match="another experiment is at work"):
+                run(squares(1), tmp_path, experiment="squares", version="1", workers=1)
+            seen.append("refused")
+
+    run(squares(2), tmp_path, experiment="squares", version="1", workers=1, progress=told)
+    assert seen
+    with pytest.raises(InfeasibleError):
+        run([Job("no", refuse, {"x": 1})], tmp_path, experiment="squares", version="1", workers=1)
+    run(squares(2), tmp_path, experiment="squares", version="1", workers=1)
+
+
+def test_a_folder_belongs_to_one_experiment(tmp_path: Path) -> None:
+    """Also of those that keep no runs; results of nobody known are not written over either."""
+    campaign.claim(tmp_path / "none", "table3")
+    campaign.claim(tmp_path, "table3")
+    (tmp_path / "results.md").write_text("mine", encoding="utf-8")
+    with pytest.raises(MissionError, match=r"one of experiment table3, got results of something else: .*--output"):
+        campaign.claim(tmp_path, "table3")
+    campaign.mark(tmp_path, "table3")
+    campaign.claim(tmp_path, "table3")
+    with pytest.raises(MissionError, match="one of experiment growth, got results of table3"):
+        campaign.claim(tmp_path, "growth")
+    run(squares(1), tmp_path / "runs", experiment="squares", version="1", workers=1)
+    with pytest.raises(MissionError, match="one of experiment table3, got results of squares"):
+        campaign.claim(tmp_path / "runs", "table3")
+    campaign.claim(tmp_path / "runs", "squares")
 
 
 def test_a_version_is_of_settings_and_source() -> None:

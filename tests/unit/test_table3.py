@@ -33,7 +33,7 @@ def test_the_functions_own_time_is_taken_off(monkeypatch: pytest.MonkeyPatch) ->
         now += 0.001 * len(points)
         return plain.cost(points)
 
-    timed = table3.BenchmarkFunction("f", "f", slow, plain.lower, plain.upper, 0.0, plain.minimiser)
+    timed = table3.BenchmarkFunction("f", "f", slow, plain.lower, plain.upper, 0.0, plain.minimiser, 0.0)
     monkeypatch.setattr(table3, "find_function", lambda _name: timed)
     found = table3.complexity("pso", 1010, 2, 1)
     assert found.rows == 50
