@@ -1,7 +1,8 @@
 """Table II of the paper, and more: every algorithm on the test functions; ``missionplanner experiment table2``.
 
 The paper reports one number per function and algorithm and does not say which statistic it is: medians are put beside
-it. Ranks and tests are of the *excess* over the known minimum; what is within rounding of the minimum is 0.
+it. Ranks and tests are of the *excess* over the known minimum; what is within rounding of the minimum, which every
+function says for itself, is 0.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from matplotlib.figure import Figure
 
 from missionplanner.experiments import campaign
 from missionplanner.experiments.contenders import INSTALL, Contender, find_contender, ours
-from missionplanner.experiments.document import machine
+from missionplanner.experiments.document import gathered, provenance
 from missionplanner.experiments.scene_figures import COLOURS, new_figure, save_png
 from missionplanner.experiments.statistics import Comparison, Friedman, friedman, holm, paired, rank_sum
 from missionplanner.experiments.test_functions import FUNCTIONS, BenchmarkFunction, find_function
@@ -63,10 +64,12 @@ class Results:
     absent: tuple[str, ...]  # not installed
     cost: Mapping[tuple[str, str], FloatArray]  # by function and algorithm
     curve: Mapping[tuple[str, str], FloatArray]  # (runs, G): best cost at _grid()
+    made: str  # when, and on what
 
     def excess(self, function: str, algorithm: str) -> FloatArray:
         """Return by how much every run (runs,) missed the known minimum."""
-        return excess(self.cost[function, algorithm], find_function(function).minimum)
+        f = find_function(function)
+        return excess(self.cost[function, algorithm], f.minimum, f.rounding)
 
     def table(self, statistic: Callable[[FloatArray], float], floor: float = 0.0) -> FloatArray:
         """Return a statistic of excesses (functions, algorithms); those up to ``floor`` count as 0."""
@@ -79,10 +82,10 @@ class Results:
         return floored(np.concatenate(found), floor)
 
 
-def excess(cost: FloatArray, minimum: float) -> FloatArray:
-    """Return costs above a minimum; 0 within rounding of it."""
+def excess(cost: FloatArray, minimum: float, rounding: float | None = None) -> FloatArray:
+    """Return costs above a minimum; 0 within rounding of it: 1e-12 of it, unless told."""
     above = cost - minimum
-    return np.where(above <= 1e-12 * abs(minimum), 0.0, above)
+    return np.where(above <= (1e-12 * abs(minimum) if rounding is None else rounding), 0.0, above)
 
 
 def floored(values: FloatArray, floor: float) -> FloatArray:
@@ -141,7 +144,7 @@ def measure(
         for c in present
         for seed in range(runs)
     }
-    version = campaign.version_of({}, ("missionplanner.experiments.test_functions",))
+    version = campaign.version_of({"results": 2}, ("missionplanner.experiments.test_functions",))
     found = campaign.run(
         list(jobs.values()),
         folder,
@@ -152,6 +155,7 @@ def measure(
         progress=progress,
     )
     cost, curve = {}, {}
+    made = gathered(found.values())[0]
     for f in functions:
         for c in present:
             every = [found[jobs[f.name, c.name, seed].key] for seed in range(runs)]
@@ -165,6 +169,7 @@ def measure(
         tuple(c.name for c in contenders if not c.installed),
         cost,
         curve,
+        made,
     )
 
 
@@ -172,7 +177,7 @@ def search(function: str, contender: str, evaluations: int, seed: int) -> dict[s
     """Return what one run found, and how: pairs of evaluations and the best cost by then."""
     f = find_function(function)
     tally = find_contender(contender).run(f.cost, f.lower, f.upper, evaluations=evaluations, seed=seed)
-    return {"cost": tally.cost, "curve": [[used, cost] for used, _, cost in tally.curve]}
+    return {**provenance(), "cost": tally.cost, "curve": [[used, cost] for used, _, cost in tally.curve]}
 
 
 def _grid(evaluations: int) -> npt.NDArray[np.int64]:
@@ -224,9 +229,9 @@ def _stochastically_lower(own: FloatArray, theirs: FloatArray) -> bool:
 
 
 def standing(results: Results) -> dict[str, dict[str, Any]]:
-    """Return, for each kind of rank, who ranks before the best form, and whether anybody does so beyond chance.
+    """Return, for each kind of rank, who ranks before the best form, and who of them is told apart from it.
 
-    Beyond chance: p below 5 % by signed ranks of the medians, corrected by Holm.
+    Told apart: p below 5 % by signed ranks of the medians, corrected by Holm. That others are not says nothing.
     """
     sure = {c.other for c in compared(results) if c.p_holm < _LEVEL}
     own = results.algorithms.index(BEST)
@@ -234,28 +239,29 @@ def standing(results: Results) -> dict[str, dict[str, Any]]:
     for how, f in ranked(results).items():
         order = np.argsort(f.ranks, kind="stable")
         before = [results.algorithms[k] for k in order if f.ranks[k] < f.ranks[own]]
-        found[how] = {"rank": float(f.ranks[own]), "before": before, "best": not before, "tied": not sure & {*before}}
+        found[how] = {
+            "rank": float(f.ranks[own]),
+            "before": before,
+            "best": not before,
+            "told_apart": [name for name in before if name in sure],
+        }
     return found
 
 
 def matches(results: Results) -> dict[str, bool]:
     """Return for which functions the paper form's median is at least as low as the paper's PSO-ABC-SA, as printed."""
-    found = {}
-    for function, row in PAPER.items():
-        if (function, PAPER_FORM) in results.cost:
-            printed = row[-1]
-            found[function] = _rounded_as(float(np.median(results.cost[function, PAPER_FORM])), printed) <= float(
-                printed
-            )
-    return found
+    tried = [function for function in PAPER if (function, PAPER_FORM) in results.cost]
+    return {function: reaches(function, float(np.median(results.cost[function, PAPER_FORM]))) for function in tried}
 
 
-def _rounded_as(value: float, printed: str) -> float:
-    """Return a value with as many digits as one that was printed."""
+def reaches(function: str, value: float) -> bool:
+    """Return whether a value is at least as low as the paper's PSO-ABC-SA, to the finest digits of the table's row."""
+    row = PAPER[function]
+    printed = row[-1]
     if "e" in printed:
         digits = len(printed.partition("e")[0].replace(".", "").lstrip("-"))
-        return float(f"{value:.{digits - 1}e}")
-    return round(value, len(printed.partition(".")[2]))
+        return float(f"{value:.{digits - 1}e}") <= float(printed)
+    return round(value, max(len(other.partition(".")[2]) for other in row if "e" not in other)) <= float(printed)
 
 
 def as_json(results: Results) -> dict[str, Any]:
@@ -327,7 +333,7 @@ def table(results: Results) -> str:
     lines = [
         f"# Table II: test functions, {results.evaluations:,} evaluations, {results.runs} runs",
         "",
-        machine(),
+        results.made,
         "",
         *_beside_paper(results),
         *_rank_lines(results),
@@ -380,10 +386,12 @@ def _rank_lines(results: Results) -> list[str]:
         f"## Ranks over {len(results.functions)} functions",
         "",
         "Mean Friedman ranks of medians, and of single runs; in brackets with errors below 1e-8 as equal, as in the "
-        f"CEC competitions. Beside them {BEST} against each: p of Wilcoxon's signed ranks of the medians, corrected by "
-        "Holm, and on how many functions its runs are better, alike, worse (rank sums, 5 %, Holm).",
+        "CEC competitions. Runs are ranked seed by seed: ours of one population share their first points, with others "
+        f"they share nothing. Beside them {BEST} against each: p of Wilcoxon's signed ranks of the medians, corrected "
+        "by Holm (those of 0.05 and more are not told apart), and on how many functions its runs are better, not told "
+        "apart, worse (rank sums, 5 %, Holm).",
         "",
-        "| | medians | all runs | signed ranks, p | better / alike / worse |",
+        "| | medians | all runs | signed ranks, p | better / not told apart / worse |",
         "|---|---|---|---|---|",
     ]
     for k in order:
@@ -394,8 +402,8 @@ def _rank_lines(results: Results) -> list[str]:
         lines.append(f"| {name} | {ranks[0]:.2f} ({ranks[1]:.2f}) | {ranks[2]:.2f} ({ranks[3]:.2f}) | {p} | {fights} |")
     for how, at in standing(results).items():
         before = "nobody ranks before it" if at["best"] else f"before it: {', '.join(at['before'])}"
-        chance = "" if at["best"] else " (within chance)" if at["tied"] else " (beyond chance)"
-        lines += ["", f"{BEST}, {how}: mean rank {at['rank']:.2f}; {before}{chance}."]
+        apart = "" if at["best"] else f"; told apart from it: {', '.join(at['told_apart']) or 'none of them'}"
+        lines += ["", f"{BEST}, {how}: mean rank {at['rank']:.2f}; {before}{apart}."]
     lines += [
         "",
         "Friedman: " + "; ".join(f"{how}: {f.statistic:.1f}, p = {f.p:.1g}" for how, f in kinds.items()) + ".",
@@ -438,9 +446,11 @@ def _convergence(results: Results) -> Figure:
     panels = np.atleast_1d(figure.subplots(rows, columns, sharex=True)).ravel()
     grid = _grid(results.evaluations)
     for axes, f in zip(panels, results.functions, strict=False):
-        least = find_function(f).minimum
+        function = find_function(f)
         for a in results.algorithms:
-            middle = np.maximum(np.median(excess(results.curve[f, a], least), axis=0), 1e-16)
+            middle = np.maximum(
+                np.median(excess(results.curve[f, a], function.minimum, function.rounding), axis=0), 1e-16
+            )
             known = a in _COLOURS
             axes.loglog(
                 grid,
@@ -451,7 +461,7 @@ def _convergence(results: Results) -> Figure:
                 zorder=3 if a == BEST else 2 if known else 1,
                 label=a if known else None,
             )
-        axes.set_title(find_function(f).label, fontsize=8)
+        axes.set_title(function.label, fontsize=8)
         axes.tick_params(labelsize=7, length=2)
         axes.tick_params(which="minor", length=0)
         for side in ("top", "right"):

@@ -47,6 +47,7 @@ class BenchmarkFunction:
     lower, upper : (D,) the box.
     minimum : the least value in the box.
     minimiser : (D,) where it is taken, to about 1e-8 of the box; one of several in places.
+    rounding : what is so little above the minimum is so by the rounding of the function's own terms or coordinates.
     """
 
     name: str
@@ -56,6 +57,7 @@ class BenchmarkFunction:
     upper: FloatArray
     minimum: float
     minimiser: FloatArray
+    rounding: float
 
     @property
     def dimensions(self) -> int:
@@ -158,13 +160,14 @@ def _function(
     upper: float | list[float],
     minimum: float,
     minimiser: list[float],
+    rounding: float,
 ) -> BenchmarkFunction:
     best = np.array(minimiser)
     low, high = (np.broadcast_to(np.asarray(bound, dtype=float), best.shape).copy() for bound in (lower, upper))
-    return BenchmarkFunction(name, title, cost, low, high, minimum, best)
+    return BenchmarkFunction(name, title, cost, low, high, minimum, best, rounding)
 
 
-def _shifted(plain: BenchmarkFunction) -> BenchmarkFunction:
+def _shifted(plain: BenchmarkFunction, rounding: float) -> BenchmarkFunction:
     """Return a function of a box around the origin with its optimum moved away from there."""
     away = shift(float(plain.upper[0]), plain.dimensions)
     return BenchmarkFunction(
@@ -175,12 +178,13 @@ def _shifted(plain: BenchmarkFunction) -> BenchmarkFunction:
         plain.upper,
         plain.minimum,
         plain.minimiser + away,
+        rounding,
     )
 
 
-_F1 = _function("f1", "Schwefel 2.21", schwefel_2_21, -100.0, 100.0, 0.0, [0.0] * 30)
-_F3 = _function("f3", "Schaffer N.2", schaffer_2, -100.0, 100.0, 0.0, [0.0] * 2)
-_F7 = _function("f7", "Griewank", griewank, -600.0, 600.0, 0.0, [0.0] * 30)
+_F1 = _function("f1", "Schwefel 2.21", schwefel_2_21, -100.0, 100.0, 0.0, [0.0] * 30, 0.0)
+_F3 = _function("f3", "Schaffer N.2", schaffer_2, -100.0, 100.0, 0.0, [0.0] * 2, 1e-15)
+_F7 = _function("f7", "Griewank", griewank, -600.0, 600.0, 0.0, [0.0] * 30, 1e-15)
 
 FUNCTIONS: tuple[BenchmarkFunction, ...] = (
     _F1,
@@ -192,10 +196,11 @@ FUNCTIONS: tuple[BenchmarkFunction, ...] = (
         5.0,
         0.00030748598780560557,
         [0.19283345304, 0.19083623956, 0.12311729512, 0.13576599110],
+        1e-15,
     ),
     _F3,
-    _function("f4-branin", "Branin", branin, [-5.0, 0.0], [10.0, 15.0], 10.0 / (8.0 * np.pi), [np.pi, 2.275]),
-    _function("f4-goldstein", "Goldstein-Price", goldstein_price, -5.0, 5.0, 3.0, [0.0, -1.0]),
+    _function("f4-branin", "Branin", branin, [-5.0, 0.0], [10.0, 15.0], 10.0 / (8.0 * np.pi), [np.pi, 2.275], 1e-14),
+    _function("f4-goldstein", "Goldstein-Price", goldstein_price, -5.0, 5.0, 3.0, [0.0, -1.0], 1e-12),
     _function(
         "f5",
         "Hartmann 6",
@@ -204,14 +209,15 @@ FUNCTIONS: tuple[BenchmarkFunction, ...] = (
         1.0,
         -3.322368011415515,
         [0.20168951, 0.15001069, 0.47687397, 0.27533243, 0.31165162, 0.65730053],
+        1e-12,
     ),
-    _function("f6", "Eggholder", eggholder, -512.0, 512.0, -959.640662720851, [512.0, 404.2318050928957]),
+    _function("f6", "Eggholder", eggholder, -512.0, 512.0, -959.640662720851, [512.0, 404.2318050928957], 1e-9),
     _F7,
-    _function("f8", "Levy N.13", levy_13, -10.0, 10.0, 0.0, [1.0, 1.0]),
-    _function("f9", "Colville", colville, -10.0, 10.0, 0.0, [1.0] * 4),
-    _shifted(_F1),
-    _shifted(_F3),
-    _shifted(_F7),
+    _function("f8", "Levy N.13", levy_13, -10.0, 10.0, 0.0, [1.0, 1.0], 1e-30),
+    _function("f9", "Colville", colville, -10.0, 10.0, 0.0, [1.0] * 4, 1e-30),
+    _shifted(_F1, 1e-13),
+    _shifted(_F3, 1e-15),
+    _shifted(_F7, 1e-15),
 )
 
 
