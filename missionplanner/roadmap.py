@@ -28,6 +28,7 @@ _STRING_LEAST_M = 2.0  # spacing of the ground's samples below a leg
 _STRING_SPARE = 0.25  # kept above them, as a share of their spacing
 _APEXES = 6
 _POINTS = 3000
+_CIRCLES = 3000
 
 
 class _Queue(NamedTuple):
@@ -251,29 +252,49 @@ def _rings(o: ObstacleArrays, ends: FloatArray, margin_m: float, longest_m: floa
     On the corners of a polygon around the circle, so that the legs between neighbours just touch it; a corner costs at
     most about ``excess_m`` more than the arc. Where two circles leave a gap, a leg of either polygon leads through.
     """
-    prism = o.kind == kernels.PRISM
-    circles = [o.bound[o.hard & ~prism, :3]]
-    for i in np.flatnonzero(o.hard & prism):
-        corners = o.vertices[o.vertex_start[i] : o.vertex_start[i + 1]]
-        circles.append(np.column_stack([corners, np.zeros(len(corners))]))
-    x, y, radius_m = np.concatenate(circles).T
+    owner, x, y, radius_m = _circles(o)
     reach_m = radius_m + margin_m + _CLOSE_M
-    away_m = np.hypot(x - ends[:, 0, np.newaxis], y - ends[:, 1, np.newaxis]).sum(axis=0)
-    inside = away_m - 2.0 * reach_m < longest_m
-    x, y, reach_m = x[inside], y[inside], reach_m[inside]
+    detour_m = np.hypot(x - ends[:, 0, np.newaxis], y - ends[:, 1, np.newaxis]).sum(axis=0) - 2.0 * reach_m
+    least = np.argsort(detour_m, kind="stable")[:_CIRCLES]
+    least = np.sort(least[detour_m[least] < longest_m])
+    owner, x, y, reach_m = owner[least], x[least], y[least], reach_m[least]
     count = np.clip(np.ceil(math.tau / (12.0 * excess_m / reach_m) ** (1.0 / 3.0)), _POINTS_MIN, _POINTS_MAX)
     out_m = reach_m / np.cos(math.pi / count)
-    apart_m = np.hypot(x[:, np.newaxis] - x, y[:, np.newaxis] - y)
-    gap = (apart_m < out_m[:, np.newaxis] + out_m) & (apart_m > reach_m[:, np.newaxis] + reach_m)
     rings = [np.empty((0, 2))]
     for n in range(len(x)):
-        facing = np.arctan2(y[gap[n]] - y[n], x[gap[n]] - x[n])[:, np.newaxis] + (
-            -math.pi / count[n],
-            math.pi / count[n],
-        )
+        apart_m = np.hypot(x - x[n], y - y[n])
+        gaps = np.flatnonzero((apart_m < out_m + out_m[n]) & (apart_m > reach_m + reach_m[n]))
+        within = [m for m in gaps[owner[gaps] == owner[n]] if _is_filled(o, owner[n], x[[m, n]], y[[m, n]], margin_m)]
+        gaps = np.setdiff1d(gaps, within)
+        facing = np.arctan2(y[gaps] - y[n], x[gaps] - x[n])[:, np.newaxis] + (-math.pi / count[n], math.pi / count[n])
         angle = np.concatenate([math.tau * np.arange(int(count[n])) / count[n], facing.ravel()])
         rings.append(np.column_stack([x[n] + out_m[n] * np.cos(angle), y[n] + out_m[n] * np.sin(angle)]))
     return np.concatenate(rings)
+
+
+def _circles(o: ObstacleArrays) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
+    """Return the solid, place and radius of circles that a taut string may touch: at a prism those of its corners."""
+    prism = o.kind == kernels.PRISM
+    round_ = np.flatnonzero(o.hard & ~prism)
+    owners, circles = [round_], [o.bound[round_, :3]]
+    for i in np.flatnonzero(o.hard & prism):
+        at = o.vertices[o.vertex_start[i] : o.vertex_start[i + 1]]
+        before, after = at - np.roll(at, 1, axis=0), np.roll(at, -1, axis=0) - at
+        turn = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+        around = np.sum(at[:, 0] * after[:, 1] - at[:, 1] * after[:, 0])
+        at = at[turn * around > 0.0]  # no string reaches into a corner that points inwards
+        owners.append(np.full(len(at), i))
+        circles.append(np.column_stack([at, np.zeros(len(at))]))
+    x, y, radius_m = np.concatenate(circles).T
+    return np.concatenate(owners), x, y, radius_m
+
+
+def _is_filled(o: ObstacleArrays, i: int, x: FloatArray, y: FloatArray, margin_m: float) -> bool:
+    """Return whether there is no way through between two corners of a prism, given by their x and y."""
+    if o.params[i, 2]:  # convex
+        return True
+    middle_m = kernels.polygon_distance(o.vertices, o.vertex_start[i], o.vertex_start[i + 1], x.mean(), y.mean())
+    return bool(middle_m < margin_m)
 
 
 def shortest_way(

@@ -1,0 +1,74 @@
+"""First guesses past polygons: finely drawn ones, and such that reach around the path."""
+
+import math
+import tracemalloc
+
+import numpy as np
+
+from missionplanner.obstacles import PrismSolid
+from missionplanner.roadmap import _rings
+from missionplanner.seeds import first_guesses
+from tests.oracles.tangent_graph import shortest_m
+from tests.unit.test_seeds import EAST, WEST, check, length_m, limits, space
+
+MARGIN_M = 10.0
+ENDS = np.array([WEST, EAST])
+
+
+def disc(x: float, y: float, radius_m: float, corners: int) -> PrismSolid:
+    angle = math.tau * np.arange(corners) / corners
+    return PrismSolid("disc", np.stack([x + radius_m * np.cos(angle), y + radius_m * np.sin(angle)], axis=1))
+
+
+def test_memory_does_not_grow_with_the_square_of_the_corners() -> None:
+    rng = np.random.default_rng(1)
+    many = space(*(disc(x, y, 20.0, 120) for x, y in rng.uniform(-380.0, 380.0, (60, 2)))).obstacles
+    tracemalloc.start()
+    points = _rings(many, ENDS, MARGIN_M, 2400.0, 0.3)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(points) < 60_000
+    assert peak < 20e6  # all pairs of 7,200 corners are 400 MB
+
+
+def test_corners_of_one_disc_leave_no_gaps() -> None:
+    few, many = (_rings(space(disc(0.0, 0.0, 40.0, n)).obstacles, ENDS, MARGIN_M, 2400.0, 0.3) for n in (12, 120))
+    assert len(many) == 10 * len(few)  # as many around every corner
+
+
+def test_past_a_finely_drawn_disc_the_path_is_as_short_as_past_a_round_one() -> None:
+    where, rules = space(disc(0.0, 15.0, 60.0, 240)), limits(60.0, MARGIN_M)
+    [path] = first_guesses(where, rules, WEST, EAST)
+    check(where, rules, [path], WEST, EAST)
+    shortest = shortest_m((-400.0, 0.0), (400.0, 0.0), [(0.0, 15.0, 60.0 + MARGIN_M)])
+    assert abs(length_m(path) / shortest - 1.0) < 2e-4
+
+
+def test_no_ring_stands_around_a_corner_that_points_inwards() -> None:
+    outline = np.array([[0, 0], [100, 0], [100, 100], [50, 60], [0, 100]], dtype=float)
+    for xy in (outline, outline[::-1]):
+        points = _rings(space(PrismSolid("notch", xy)).obstacles, ENDS, MARGIN_M, 2400.0, 0.3)
+        away_m = np.hypot(*(points[:, np.newaxis] - outline).transpose(2, 0, 1)).min(axis=0)
+        assert away_m[3] > 30.0
+        assert (np.delete(away_m, 3) < MARGIN_M * 1.1).all()
+
+
+def test_through_the_narrow_mouth_of_a_polygon_a_leg_leads_out() -> None:
+    """A mouth 0.4 m wider than both margins, which no grid would meet, between two corners of the same polygon."""
+    half_m = MARGIN_M + 0.2
+    inner, outer = 120.0, 300.0
+    right = [[40, half_m], [0, inner], [-inner, inner], [-inner, 0]]
+    bowl = np.array(
+        [
+            *right,
+            *([x, -y] for x, y in right[2:0:-1]),
+            *([40, -half_m], [40, -outer], [-outer, -outer], [-outer, outer], [40, outer]),
+        ],
+        dtype=float,
+    )
+    start, goal = np.array([-60.0, 60.0, 100.0]), np.array([400.0, 90.0, 100.0])
+    where, rules = space(PrismSolid("bowl", bowl)), limits(60.0, MARGIN_M)
+    path = first_guesses(where, rules, start, goal)[0]
+    check(where, rules, [path], start, goal)
+    mouth = np.array([40.0, 0.0, 100.0])
+    assert length_m(path) < 1.001 * (np.linalg.norm(mouth - start) + np.linalg.norm(goal - mouth))
