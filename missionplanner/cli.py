@@ -789,7 +789,7 @@ def _plan(scene: Scene, folder: Path, seed: int | None, within_s: float | None =
             if compiling is not None and done >= 1.0:
                 compiling.wait()  # flights come next: what the other process compiles would be compiled twice
 
-        fleet_plan = plan_fleet(scene, seed=seed, watch=watch, seconds=within_s)
+        fleet_plan = plan_fleet(scene, seed=seed, watch=watch, seconds=within_s, clock=time.perf_counter)
     _clock_start(fleet_plan, datetime.now(UTC))
     again = (folder / PLAN_NAME).exists()
     save_plan(folder, scene, fleet_plan)

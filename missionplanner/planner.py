@@ -11,7 +11,6 @@ else nothing is.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -78,7 +77,7 @@ def plan_fleet(
     seed: int | None = None,
     watch: Watch | None = None,
     seconds: float | None = None,
-    clock: Clock = time.perf_counter,
+    clock: Clock | None = None,
 ) -> FleetPlan:
     """Return a plan for the whole fleet that is clear of terrain, obstacles, fence and itself.
 
@@ -88,7 +87,9 @@ def plan_fleet(
     Parameters
     ----------
     seconds
-        For how long, by ``clock``, the paths are improved, beyond the search that every plan takes.
+        For how long the paths are improved, beyond the search that every plan takes.
+    clock
+        Counts them, as ``time.perf_counter`` does; without one, the mission's are not taken.
 
     Raises
     ------
@@ -98,10 +99,12 @@ def plan_fleet(
     """
     wind.refuse_storm(scene.tasks)
     seed = scene.mission.planner.seed if seed is None else seed
+    if seconds is not None and clock is None:
+        raise MissionError("seconds: expected a clock with them, got none: add clock=time.perf_counter")
     seconds = scene.mission.planner.seconds if seconds is None else seconds
     if seconds is not None and not seconds > 0.0:
         raise MissionError(f"seconds: expected above 0, got {seconds:g}")
-    budget = Budget(clock, -math.inf if seconds is None else clock() + seconds)
+    budget = Budget() if seconds is None or clock is None else Budget(clock, clock() + seconds)
     for start in range(_STARTS - 1):
         try:
             return _proven(_Team(scene, seed, start, watch, budget))

@@ -504,4 +504,19 @@ def test_time_improves_a_plan_and_ends() -> None:
     assert sum(v.cost for v in plan.vehicles) <= 1.001 * sum(v.cost for v in usual.vehicles)
     assert sum(v.evaluations for v in plan.vehicles) > sum(v.evaluations for v in usual.vehicles)
     with pytest.raises(MissionError, match=r"^seconds: expected above 0, got -1$"):
-        plan_fleet(scene, seconds=-1.0)
+        plan_fleet(scene, seconds=-1.0, clock=lambda: 0.0)
+    with pytest.raises(MissionError, match=r"^seconds: expected a clock with them, got none: add clock="):
+        plan_fleet(scene, seconds=1.0)
+
+
+def test_the_planner_has_no_clock_of_its_own() -> None:
+    """Though the mission asks for time: what does not depend on the machine comes out the same."""
+    quick = {"population": 20, "iterations": 30}
+    timed, usual = (
+        scene_of(question(obstacles=[MAST], planner=quick | more)) for more in ({"seconds": 2.0}, dict[str, float]())
+    )
+    ticks = iter(range(10**9))
+    alone, improved = plan_fleet(timed), plan_fleet(timed, clock=lambda: 0.01 * next(ticks))
+    for one, other, third in zip(alone.vehicles, plan_fleet(usual).vehicles, improved.vehicles, strict=True):
+        np.testing.assert_array_equal(one.path_m, other.path_m)
+        assert not np.array_equal(one.path_m, third.path_m)
