@@ -11,7 +11,7 @@ else nothing is.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Literal, Protocol
@@ -64,6 +64,9 @@ _ROUTE_ROOM_M = 5.0
 """What the way around another's flight leaves of room at the route's own points, beyond the margin."""
 
 
+Searched = Callable[[PlannedPath], None]
+
+
 class Watch(Protocol):
     """Told how the work goes on: the vehicle's name and the share of its search that is done, 0 to 1."""
 
@@ -78,6 +81,7 @@ def plan_fleet(
     watch: Watch | None = None,
     seconds: float | None = None,
     clock: Clock | None = None,
+    searched: Searched | None = None,
 ) -> FleetPlan:
     """Return a plan for the whole fleet that is clear of terrain, obstacles, fence and itself.
 
@@ -90,6 +94,8 @@ def plan_fleet(
         For how long the paths are improved, beyond the search that every plan takes.
     clock
         Counts them, as ``time.perf_counter`` does; without one, the mission's are not taken.
+    searched
+        Told of every path that is found, with what it took by ``clock``; also of those that give way to another later.
 
     Raises
     ------
@@ -104,13 +110,13 @@ def plan_fleet(
     seconds = scene.mission.planner.seconds if seconds is None else seconds
     if seconds is not None and not seconds > 0.0:
         raise MissionError(f"seconds: expected above 0, got {seconds:g}")
-    budget = Budget() if seconds is None or clock is None else Budget(clock, clock() + seconds)
+    budget = Budget() if clock is None else Budget(clock, -math.inf if seconds is None else clock() + seconds)
     for start in range(_STARTS - 1):
         try:
-            return _proven(_Team(scene, seed, start, watch, budget))
+            return _proven(_Team(scene, seed, start, watch, budget, searched))
         except UnreturnableError:  # who gives way to whom decides who can return: once more, the other way round
             continue
-    return _proven(_Team(scene, seed, _STARTS - 1, watch, budget))
+    return _proven(_Team(scene, seed, _STARTS - 1, watch, budget, searched))
 
 
 def _proven(team: _Team) -> FleetPlan:
@@ -139,11 +145,14 @@ class _Pin:
 class _Team:
     """The vehicles' paths while a plan is looked for, and what each has learned to keep clear of."""
 
-    def __init__(self, scene: Scene, seed: int, start: int, watch: Watch | None, budget: Budget) -> None:
+    def __init__(
+        self, scene: Scene, seed: int, start: int, watch: Watch | None, budget: Budget, searched: Searched | None
+    ) -> None:
         self._scene = scene
         self._seed = seed
         self._start = start
         self._watch = watch
+        self._searched = searched
         self._budget = budget
         self._generators = np.random.default_rng(seed if start == 0 else [seed, start]).spawn(len(scene.tasks))
         self._wider_m = [0.0] * len(scene.tasks)
@@ -168,7 +177,10 @@ class _Team:
         waiting = max(1, len(self._scene.tasks) - len(self._paths))
         budget = self._budget.part(_SEARCH_SHARE / waiting)
         rng, wider_m = self._generators[index], self._wider_m[index]
-        return _path(self._scene, [*self._overhead, *avoided], task, fellows, rng, self._watch, wider_m, budget)
+        found = _path(self._scene, [*self._overhead, *avoided], task, fellows, rng, self._watch, wider_m, budget)
+        if self._searched is not None:
+            self._searched(found)
+        return found
 
     def _fellows(self, index: int) -> list[PlannedPath]:
         return [path for k, path in enumerate(self._paths) if k != index]
