@@ -379,10 +379,10 @@ def _guess(
     finds: _Finds,
     count: int = 1,
 ) -> None:
-    """Take the curves around the first guesses, and polish the cheapest few; around others than the first if asked."""
+    """Take the curves around the first guesses that are not known yet, and polish the cheapest few."""
     with finds.timed("graph_s"):
         sections = _guess_sections(task, space, names, extra_m, gentleness, count)
-        families = _families(sections, corner_m, finds, others=count > 1)
+        families = _families(sections, corner_m, finds)
     for family in families:
         finds.polished(family.base_m, family)
 
@@ -412,10 +412,10 @@ def _corner_m(task: VehicleTask) -> float:
     return max(_CORNER_M, 2.0 * task.limits.turn_radius_m)
 
 
-def _families(sections: list[list[FloatArray]], corner_m: float, finds: _Finds, *, others: bool) -> list[_Family]:
-    """Return the curves around the cheapest few combinations of the sections' guesses, looked for section by section.
+def _families(sections: list[list[FloatArray]], corner_m: float, finds: _Finds) -> list[_Family]:
+    """Return the curves around the cheapest few new combinations of guesses, looked for section by section.
 
-    ``others``: but for that of each section's first guess.
+    Who looks for several guesses may find a shorter first one than who looks for one.
     """
     tried: list[_Curve] = []
 
@@ -434,10 +434,12 @@ def _families(sections: list[list[FloatArray]], corner_m: float, finds: _Finds, 
             if cost < best_cost:
                 best_cost, chosen = cost, candidate
     finds.evaluations += len(tried)
-    tried = sorted(tried[1:] if others else tried, key=lambda curve: curve.cost)
-    for curve in tried:
+    known = [curve.family.base_m for curve in finds.curves]
+    new = [curve for curve in tried if not any(np.array_equal(curve.path_m, base_m) for base_m in known)]
+    new.sort(key=lambda curve: curve.cost)
+    for curve in new:
         finds.add(curve.cost, curve.path_m, curve.family)
-    return [curve.family for curve in tried[:_CLASSES]]
+    return [curve.family for curve in new[:_CLASSES]]
 
 
 def _family(polylines: list[FloatArray], corner_m: float) -> _Family:

@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from missionplanner import path_search
 from missionplanner.clearance import Margins, legs_clear, legs_within_angles, polyline_legs, tubes_clear
 from missionplanner.cost import Price
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.path_search import Budget, PlannedPath, find_path
 from missionplanner.scene import Scene
+from missionplanner.seeds import first_guesses
 from tests.scenes import at, copter, question, scene_of
 
 MAST = {"kind": "cylinder", "name": "mast", "center": at(150, 4), "radius_m": 10}
@@ -240,3 +242,15 @@ def test_time_may_run_out_at_any_reading_of_the_clock() -> None:
         clock = count().__next__
         assert_flyable(around, found(around, budget=Budget(clock, float(ticks))))
         assert clock() > ticks  # all of it is used
+
+
+def test_a_shorter_first_guess_of_several_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    corners = [at(100, -60), at(200, -60), at(200, 120), at(100, 120)]
+    around = scene(obstacles=[{"kind": "no_fly", "name": "zone", "polygon": corners}])
+    task = around.tasks[0]
+    ways = first_guesses(around.space, task.limits, *task.route_m, count=2, clearance_extra_m=2.0)
+    assert [way[:, 1].mean() > 0.0 for way in ways] == [False, True]
+    monkeypatch.setattr(path_search, "first_guesses", lambda *_, count, **__: ways if count > 1 else ways[1:])
+    path = found(around)
+    assert_flyable(around, path)
+    assert path.path_m[:, 1].mean() < 0.0
