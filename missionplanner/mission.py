@@ -26,6 +26,9 @@ from missionplanner.parameter_files import read_parameters
 # Strict: a truth value or a text is not a number
 Number = Annotated[float, Strict()]
 Positive = Annotated[float, Strict(), Field(gt=0)]
+_WORLD_M = 1e7  # nothing is larger or further off: beyond, arithmetic suffers
+Coordinate = Annotated[float, Strict(), Field(ge=-_WORLD_M, le=_WORLD_M)]
+Size = Annotated[float, Strict(), Field(gt=0, le=_WORLD_M)]
 NonNegative = Annotated[float, Strict(), Field(ge=0)]
 _DAY_S = 86_400.0
 UpToADay = Annotated[float, Strict(), Field(ge=0, le=_DAY_S)]
@@ -60,8 +63,8 @@ class Place(Model):
 
     lat_deg: Latitude | None = None
     lon_deg: Longitude | None = None
-    x_m: Number | None = None
-    y_m: Number | None = None
+    x_m: Coordinate | None = None
+    y_m: Coordinate | None = None
 
     @model_validator(mode="after")
     def _one_way_to_say_where(self) -> Place:
@@ -84,8 +87,8 @@ class Point(Place):
         }
     )
 
-    alt_amsl_m: Number | None = None
-    height_agl_m: Number | None = None
+    alt_amsl_m: Coordinate | None = None
+    height_agl_m: Coordinate | None = None
 
     @model_validator(mode="after")
     def _one_datum(self) -> Point:
@@ -143,8 +146,8 @@ class Area(Model):
 class _Top(Model):
     """How high an obstacle reaches: AMSL, above ground, or (neither) without limit."""
 
-    top_alt_amsl_m: Number | None = None
-    top_height_agl_m: Positive | None = None
+    top_alt_amsl_m: Coordinate | None = None
+    top_height_agl_m: Size | None = None
 
     @model_validator(mode="after")
     def _one_top(self) -> _Top:
@@ -159,7 +162,7 @@ class Cylinder(_Top):
     kind: Literal["cylinder"]
     name: Name
     center: Place
-    radius_m: Positive
+    radius_m: Size
 
 
 class Cone(Model):
@@ -168,9 +171,9 @@ class Cone(Model):
     kind: Literal["cone"]
     name: Name
     center: Place
-    base_radius_m: Positive
-    height_m: Positive
-    base_alt_amsl_m: Number | None = None
+    base_radius_m: Size
+    height_m: Size
+    base_alt_amsl_m: Coordinate | None = None
 
 
 class Radar(Model):
@@ -179,7 +182,7 @@ class Radar(Model):
     kind: Literal["radar"]
     name: Name
     center: Point
-    radius_m: Positive
+    radius_m: Size
     hard: Flag = True
 
 
@@ -189,7 +192,7 @@ class Marine(Model):
     kind: Literal["marine"]
     name: Name
     center: Point
-    radius_m: Positive
+    radius_m: Size
 
 
 class NoFly(_Top):
@@ -198,7 +201,7 @@ class NoFly(_Top):
     kind: Literal["no_fly"]
     name: Name
     polygon: tuple[Place, ...] = Field(min_length=3)
-    floor_alt_amsl_m: Number | None = None
+    floor_alt_amsl_m: Coordinate | None = None
 
 
 class Cable(Model):
@@ -208,7 +211,7 @@ class Cable(Model):
     name: Name
     start: Point
     end: Point
-    radius_m: Positive = 0.5
+    radius_m: Size = 0.5
 
 
 Obstacle = Annotated[Cylinder | Cone | Radar | Marine | NoFly | Cable, Field(discriminator="kind")]
@@ -224,7 +227,7 @@ class Tower(Place):
     """A tower of the line to inspect."""
 
     name: Name
-    height_m: Positive = 35.0
+    height_m: Size = 35.0
     weight: NonNegative = Field(1.0, description="priority, e.g. days since the last inspection (PAPER.md eq. 15)")
 
 
@@ -235,8 +238,8 @@ class Inspection(Model):
     standoff_m: Positive = Field(25.0, description="height above a tower's top at which it is overflown")
     range_m: Positive = Field(60.0, description="a tower counts as inspected when a path passes its top this close")
     share_min: Share = Field(1.0, description="least share of towers (eq. 6)")
-    tower_radius_m: Positive = 6.0
-    conductor_radius_m: Positive = Field(8.0, description="half the width of the bundle of conductors of a span")
+    tower_radius_m: Size = 6.0
+    conductor_radius_m: Size = Field(8.0, description="half the width of the bundle of conductors of a span")
 
 
 class TowerRange(Model):

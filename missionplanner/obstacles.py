@@ -125,6 +125,8 @@ def pack(solids: Sequence[Solid]) -> Obstacles:
 
 _GRID_FROM = 16
 """Fewer solids than this are asked one by one as fast."""
+_SQUARE_LEAST_M = 1e-3
+"""Though all solids stand in one point."""
 _GRID_COPIES = 8
 """In so many squares, on average, a solid may be."""
 
@@ -149,7 +151,7 @@ def _grid(bound: FloatArray) -> ObstacleGrid:
         return ObstacleGrid(0.0, 0.0, 1.0, start, solid, np.zeros((count, 4), dtype=np.int32))
     low, high = bound[:, :2] - bound[:, 2:3], bound[:, :2] + bound[:, 2:3]
     (west, south), size_m = low.min(axis=0), np.ptp(np.concatenate([low, high]), axis=0)
-    cell_m = max(math.sqrt(size_m[0] * size_m[1] / count), float(size_m.max()) / count)
+    cell_m = max(math.sqrt(size_m[0] * size_m[1] / count), float(size_m.max()) / count, _SQUARE_LEAST_M)
     while True:
         columns, rows = (int(size // cell_m) + 1 for size in size_m)
         span = np.empty((count, 4), dtype=np.int32)

@@ -90,6 +90,7 @@ def test_missions_made_in_python_share_defaults_too() -> None:
         ("min: 3,", "minn: 3,", "defaults.speed_m_s.minn", "expected a known field, got 'minn': did you mean min?"),
         ("terrain_m: 15", "terrain_m: -1", "defaults.safety.terrain_m", "expected a number of at least 0, got -1"),
         ("radius_m: 3", "radius_m: -3", "obstacles[0].radius_m", "expected a number above 0, got -3"),
+        ("radius_m: 3", "radius_m: 1e200", "obstacles[0].radius_m", "expected a number of at most 1e+07, got 1e+200"),
         ("radius_m: 3", "radius_m: .inf", "obstacles[0].radius_m", "expected a finite number, got inf"),
         ("radius_m: 3", "radius_m: -.inf", "obstacles[0].radius_m", "expected a "),
         ("radius_m: 3", "radius_m: .nan", "obstacles[0].radius_m", "expected a "),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from missionplanner.errors import MissionError
+from missionplanner.kernels import nearest_hard
 from missionplanner.obstacles import CableSolid, ConeSolid, CylinderSolid, PrismSolid, SphereSolid, join, pack
 
 SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
@@ -112,3 +113,9 @@ def test_join_keeps_every_solid():
 def test_bad_solids_are_refused_by_name(solid, says):
     with pytest.raises(MissionError, match=says):
         pack([solid])
+
+
+def test_many_solids_in_one_point_have_an_index():
+    packed = pack([SphereSolid("dust", 1e4, 1e4, 0, 1e-13, "radar")] * 20)
+    assert packed.distance_m((1e4, 1e4 + 3, 4)) == pytest.approx([5.0] * 20)
+    assert nearest_hard(packed.arrays, 1e4, 1e4 + 3, 4.0, 1e3) == pytest.approx(5.0)
