@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from missionplanner.experiments.document import joined, machine
+from missionplanner.experiments.document import joined
 from missionplanner.experiments.mountain import ALGORITHMS, draw_all
 from missionplanner.experiments.scene_comparison import (
     BEST,
@@ -16,6 +16,8 @@ from missionplanner.experiments.scene_comparison import (
     Comparison,
     Problem,
     compare,
+    forgiven,
+    made,
     mission_text,
     table,
 )
@@ -61,7 +63,7 @@ def report(found: Comparison) -> str:
         "# Multi-domain scene",
         f"{runs} runs each, {vehicles} vehicles: {runs * vehicles} paths per algorithm; {GRID[-1]:,} evaluations per "
         f"vehicle, {found.controls} control points, random starts. The last row is this planner. Time is the "
-        "processor's, of one run.",
+        f"processor's, of one run. {forgiven()}",
         table(found),
         f"Best form against each rival, runs better / equal / worse: {'; '.join(found.beaten())}.",
         "Brown: cones; purple: radar zones; blue: storms at sea; red: no-fly boxes, one at sea, one in the sky.",
@@ -70,5 +72,5 @@ def report(found: Comparison) -> str:
         "![Paths from above](above.png)",
         "![Climb angle along the paths of the first vehicle](pitch.png)",
         "![Fitness curves: medians, shaded between quartiles](fitness.png)",
-        machine(),
+        made([found]),
     )

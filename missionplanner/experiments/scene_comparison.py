@@ -12,9 +12,12 @@ import numpy as np
 
 from missionplanner.experiments import campaign
 from missionplanner.experiments.contenders import find_contender
+from missionplanner.experiments.document import gathered
 from missionplanner.experiments.scene_runs import (
     CONTROLS,
     EVALUATIONS,
+    ROUNDING_M,
+    SOFT_M,
     path_of,
     plan_scene,
     quartiles,
@@ -48,10 +51,23 @@ TITLES = {
     PLANNER: "this planner",
 }
 
-_CORE = (  # what prices and judges a path
-    *(f"missionplanner.{name}" for name in ("clearance", "cost", "kernels", "mission", "path", "scene", "vehicle")),
-    *(f"missionplanner.experiments.{name}" for name in ("proof_oracle", "scene_judge", "scene_runs")),
+_ABOVE = (
+    "__init__",
+    "cli",
+    "experiment_commands",
+    "experiments",
+    "plan_folder",
+    "replay",
+    "report",
+    "summary",
+    "terminal",
+    "warmup",
 )
+_PLANNER_ONLY = (  # finds paths, neither prices nor judges them; the algorithms compared have digests of their own
+    "pacing", "path_search", "planner", "polish", "repair", "roadmap", "schedule", "search", "seeds",
+    "taut",
+)  # fmt: skip
+_JUDGES = ("proof_oracle", "scene_judge", "scene_runs")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +78,11 @@ class Comparison:
     controls: int
     planar: bool
     results: Mapping[str, list[dict[str, Any]]]  # by algorithm
+
+    @property
+    def found(self) -> list[str]:
+        """The algorithms that found anything: the planner may have no plan in any run."""
+        return [name for name in self.results if len(self.costs(name))]
 
     @property
     def searched(self) -> list[str]:
@@ -103,19 +124,19 @@ class Comparison:
         """Return the figures of one algorithm."""
         runs, costs = self.results[name], self.costs(name)
         vehicles = [v for run in runs for v in run.get("vehicles", [])]
-        each = max((len(run.get("vehicles", [])) for run in runs), default=1)
+        each = len(self.results[self.searched[0]][0]["vehicles"])
         count = each * len(runs)  # a run without a plan has no clear path
         lengths = [run["length_m"] / each for run in runs if not run.get("error")]
         return {
             "algorithm": name,
             "runs": len(runs),
             "failed": len(runs) - len(costs),
-            "cost_best": float(costs.min()),
-            "cost_worst": float(costs.max()),
-            "cost_mean": float(costs.mean()),
-            "cost_median": float(np.median(costs)),
-            "length_best_m": min(lengths),
-            "length_mean_m": statistics.fmean(lengths),
+            "cost_best": float(costs.min()) if len(costs) else None,
+            "cost_worst": float(costs.max()) if len(costs) else None,
+            "cost_mean": float(costs.mean()) if len(costs) else None,
+            "cost_median": float(np.median(costs)) if len(costs) else None,
+            "length_best_m": min(lengths, default=None),
+            "length_mean_m": statistics.fmean(lengths) if lengths else None,
             "cpu_s": statistics.median(run["cpu_s"] for run in runs),
             "evaluations": max(run.get("evaluations", 0) for run in runs),
             "paths": count,
@@ -164,7 +185,7 @@ def compare(
 ) -> list[Comparison]:
     """Run every algorithm on every problem with seeds 0, 1, ...; only what the folder does not hold is run."""
     jobs: dict[tuple[int, str, int], campaign.Job] = {}
-    planned = campaign.version_of({}, _planner_modules())[:10]
+    planned = campaign.version_of({}, [f"missionplanner.{name}" for name in _PLANNER_ONLY])[:10]
     for k, problem in enumerate(problems):
         resolved(problem.text)  # what is wrong with it is told before any work
         digests = {name: find_contender(name).digest() for name in problem.algorithms}
@@ -182,7 +203,7 @@ def compare(
             if problem.planner:
                 key = f"{problem.name}/{PLANNER}@{planned}/{seed}"
                 jobs[k, PLANNER, seed] = campaign.Job(key, plan_scene, {"text": problem.text, "seed": seed})
-    version = campaign.version_of({"texts": [p.text for p in problems], "evaluations": EVALUATIONS}, _CORE)
+    version = campaign.version_of({"texts": [p.text for p in problems], "evaluations": EVALUATIONS}, core_modules())
     found = campaign.run(
         list(jobs.values()),
         folder,
@@ -218,22 +239,18 @@ def mission_text(path: Path) -> str:
     return path.read_text(encoding="utf-8")
 
 
-def _planner_modules() -> list[str]:
-    """Return all of the package but what stands above the planner or beside it."""
+def core_modules() -> list[str]:
+    """Return what every run depends on: all of the package but what stands above the planner, or finds its paths."""
     root = Path(__file__).parents[1]
-    above = {
-        "cli",
-        "experiment_commands",
-        "experiments",
-        "report",
-        "summary",
-        "replay",
-        "terminal",
-        "warmup",
-        "__init__",
-    }
-    names = sorted({path.stem for path in root.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()})
-    return [f"missionplanner.{name}" for name in names if name not in above]
+    names = {path.stem for path in root.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    judges = [f"missionplanner.experiments.{name}" for name in _JUDGES]
+    return [*(f"missionplanner.{name}" for name in sorted(names.difference(_ABOVE, _PLANNER_ONLY))), *judges]
+
+
+def made(comparisons: Sequence[Comparison]) -> str:
+    """Return on what and when the runs were made, resumed ones too."""
+    told, comparable = gathered(run for c in comparisons for runs in c.results.values() for run in runs)
+    return told if comparable else f"{told} Times mix these machines: they do not compare."
 
 
 def table(comparison: Comparison, paper: Mapping[str, Sequence[str]] | None = None) -> list[str]:
@@ -244,6 +261,9 @@ def table(comparison: Comparison, paper: Mapping[str, Sequence[str]] | None = No
     rows.append("|---" * (rows[0].count("|") - 1) + "|")
     for name in comparison.results:
         s = comparison.summary(name)
+        if s["failed"] == s["runs"]:
+            rows.append(f"| {TITLES[name]} | found no plan: 0 of {s['runs']} runs" + " |" * (rows[0].count("|") - 2))
+            continue
         rank = f"{ranks[name]:.2f}" if name in ranks else "-"
         row = (
             f"| {TITLES[name]} | {s['cost_best']:.3f} | {s['cost_worst']:.3f} | {s['cost_mean']:.3f} | {rank} | "
@@ -256,6 +276,14 @@ def table(comparison: Comparison, paper: Mapping[str, Sequence[str]] | None = No
             row += f" {best} / {worst} / {mean} | {time} | {length} | {rate} |" if best else " | | | |"
         rows.append(row)
     return rows
+
+
+def forgiven() -> str:
+    """Return what *safe* forgives, to whom."""
+    return (
+        f"*Safe* forgives {SOFT_M:g} m to what was searched, whose price has soft limits, and {ROUNDING_M:g} m to what "
+        "was proven, for what the judge's ground differs."
+    )
 
 
 def _rate(count: int, paths: int) -> str:

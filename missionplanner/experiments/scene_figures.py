@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -41,6 +42,11 @@ _SOLID = {"cylinder": "#7a4a3a", "cone": "#8a6a3c", "radar": "#8e2a6b", "marine"
 _RELIEF = LinearSegmentedColormap.from_list("relief", ["#dfe6dc", "#e9e3d3", "#d2bfa0", "#a98c6c", "#f2efe9"])
 _LEGS = 60  # more are a curve
 _AROUND = np.linspace(0.0, 2.0 * np.pi, 33)
+
+
+def vehicle_colours(count: int) -> list[str]:
+    """Return a colour per vehicle; of many, several share one."""
+    return list(itertools.islice(itertools.cycle(VEHICLES), count))
 
 
 def new_figure(width_in: float, height_in: float) -> Figure:

@@ -13,25 +13,25 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
 
-from missionplanner import planner, proof
-from missionplanner.cost import Price
+from missionplanner import proof
+from missionplanner.cost import THREADS, Price
 from missionplanner.errors import MissionPlannerError
+from missionplanner.experiments.document import provenance
 from missionplanner.experiments.scene_judge import Judge, least_apart_m, together
 from missionplanner.geodesy import FloatArray
 from missionplanner.mission import parse_mission
 from missionplanner.path import basis, evenly, length_m, uniform_knots
-from missionplanner.path_search import PlannedPath, find_path
+from missionplanner.path_search import PlannedPath
 from missionplanner.plan import Trajectory
 from missionplanner.planner import plan_fleet
 from missionplanner.scene import Scene, build_scene
@@ -51,6 +51,8 @@ SOFT_M, ROUNDING_M = 0.2, 0.05
 """How much nearer than it must a safe path may be: one that ends on soft limits, which forgive so much; one that is
 proven, for what the judge's ground differs."""
 
+_CLOCK = time.thread_time if THREADS == 1 else time.process_time
+"""Of the planner, whose prices share threads where there are several; others' work counts then, too."""
 _SAMPLES = 128
 _ROOM_ABOVE_M = 100.0
 _FELLOW_INSTANTS = 128
@@ -125,7 +127,7 @@ def search_fleet(
     history = np.zeros(len(GRID))
     used, points = 0, []
     _warm_up(text, algorithm)
-    begin_s = time.process_time()
+    begin_s = time.thread_time()
     for vehicle in range(vehicles):
         family, price = curves(scene, vehicle, controls, planar=planar), price_of(scene, vehicle, paths)
         found = minimise(
@@ -141,8 +143,9 @@ def search_fleet(
         at = np.searchsorted(found.history_evaluations, GRID, side="right") - 1
         history += found.history[np.clip(at, 0, len(found.history) - 1)]
         used += found.evaluations
-    cpu_s = time.process_time() - begin_s
+    cpu_s = time.thread_time() - begin_s
     return {
+        **provenance(),
         **_judged(scene, judge, paths, paths, together(paths), SOFT_M),
         "history": np.round(history, 6).tolist(),
         "evaluations": used,
@@ -164,48 +167,34 @@ def _warm_up(text: str, algorithm: str | None) -> None:
 
 
 def _cost(family: Curves, price: Price) -> Any:
-    return lambda x: price.total(family.paths(x))
+    return lambda x: price.total(family.paths(x), threads=1)
 
 
 def plan_scene(text: str, seed: int) -> dict[str, Any]:
     """Plan the mission with this planner; return what came of it, judged as it would be flown."""
     scene, judge = resolved(text)
     _warm_up(text, None)
-    begin_s = time.process_time()
-    searches_s: list[float] = []
+    searched: list[PlannedPath] = []
+    begin_s = _CLOCK()
     try:
-        with _clocked(searches_s):
-            plan = plan_fleet(scene, seed=seed)
+        plan = plan_fleet(scene, seed=seed, clock=_CLOCK, searched=searched.append)
     except MissionPlannerError as error:
-        return {"error": str(error), "cpu_s": time.process_time() - begin_s}
-    cpu_s = time.process_time() - begin_s
+        return {**provenance(), "error": str(error), "cpu_s": _CLOCK() - begin_s}
+    cpu_s = _CLOCK() - begin_s
     paths = [vehicle.path_m for vehicle in plan.vehicles]
     legs = [vehicle.waypoints_m for vehicle in plan.vehicles]
     flights = [vehicle.trajectory for vehicle in plan.vehicles]
     return {
+        **provenance(),
         **_judged(scene, judge, paths, legs, flights, ROUNDING_M),
         "error": "",
         "evaluations": sum(vehicle.evaluations for vehicle in plan.vehicles),
         "cpu_s": cpu_s,
-        "searches_s": searches_s,
+        "searches_s": [path.seconds.search_s for path in searched],
+        "legs_s": [path.seconds.proof_s for path in searched],
         "proven": plan.certificate is not None and plan.certificate.proven,
         "paths": [np.round(way, 2).tolist() for way in legs],
     }
-
-
-@contextmanager
-def _clocked(seconds: list[float]) -> Iterator[None]:
-    """Note the processor time of every path that the planner searches: it has no clock of its own."""
-
-    def timed(*arguments: Any, **named: Any) -> PlannedPath:
-        begin_s = time.process_time()
-        try:
-            return find_path(*arguments, **named)
-        finally:
-            seconds.append(time.process_time() - begin_s)
-
-    with patch.object(planner, "find_path", timed):
-        yield
 
 
 def _judged(

@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from scipy import ndimage
 
 from missionplanner.experiments import scene_figures as figures
-from missionplanner.experiments.document import joined, machine
+from missionplanner.experiments.document import joined
 from missionplanner.experiments.scene_comparison import (
     BEST,
     PAPER_FORM,
@@ -28,6 +28,8 @@ from missionplanner.experiments.scene_comparison import (
     Comparison,
     Problem,
     compare,
+    forgiven,
+    made,
     table,
 )
 from missionplanner.experiments.scene_runs import GRID, resolved
@@ -156,7 +158,8 @@ def report(comparisons: dict[str, Comparison]) -> str:
         *parts,
         "![Paths of the runs of median cost](paths.png)",
         "![Fitness curves: medians, shaded between quartiles](fitness.png)",
-        machine(),
+        forgiven(),
+        made(list(comparisons.values())),
     )
 
 
@@ -165,7 +168,7 @@ def _paths(comparisons: dict[str, Comparison]) -> Any:
     for axes, (name, comparison) in zip(figure.subplots(1, len(comparisons)), comparisons.items(), strict=True):
         scene, judge = resolved(comparison.text)
         figures.from_above(axes, scene.mission, judge)
-        for algorithm in comparison.results:
+        for algorithm in comparison.found:
             figures.ways_from_above(
                 axes,
                 comparison.paths(algorithm),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import math
 import re
 from dataclasses import replace
@@ -16,7 +17,7 @@ from scipy import ndimage
 
 from missionplanner.errors import MissionError
 from missionplanner.experiment_commands import app
-from missionplanner.experiments import mountain, multi_domain, scene_runs, scenes_2d
+from missionplanner.experiments import mountain, multi_domain, scene_comparison, scene_runs, scenes_2d
 from missionplanner.experiments.document import collect, machine
 from missionplanner.experiments.mountain import bounds_m, shortest_m
 from missionplanner.experiments.scene_comparison import BEST, PLANNER, Comparison, table
@@ -197,7 +198,7 @@ def test_a_search_repeats_itself_and_is_priced_as_it_is_drawn() -> None:
     """The same seed, the same result; another, another. What is drawn costs what the table says."""
     found = search_fleet(MOUNTAIN, "pso", 4, evaluations=200, controls=3)
     again = search_fleet(MOUNTAIN, "pso", 4, evaluations=200, controls=3)
-    assert {**found, "cpu_s": 0.0} == {**again, "cpu_s": 0.0}
+    assert {**found, "cpu_s": 0.0, "date": ""} == {**again, "cpu_s": 0.0, "date": ""}
     assert search_fleet(MOUNTAIN, "pso", 5, evaluations=200, controls=3)["cost"] != found["cost"]
     assert found["evaluations"] == 5 * 200
     assert found["cost"] == pytest.approx(sum(v["cost"] for v in found["vehicles"]))
@@ -209,6 +210,14 @@ def test_a_search_repeats_itself_and_is_priced_as_it_is_drawn() -> None:
     for k, vehicle in enumerate(found["vehicles"]):
         price = scene_runs.price_of(scene, k, paths[:k])
         assert float(price.total(paths[k][np.newaxis])[0]) == pytest.approx(vehicle["cost"], rel=1e-2)
+
+
+def test_the_planners_searches_are_timed() -> None:
+    """Every path that is searched, without whatever else the planner does."""
+    found = scene_runs.plan_scene(mission_text(SCENES[0]), 1)
+    assert found["proven"]
+    assert len(found["searches_s"]) == len(found["legs_s"]) >= 1
+    assert 0.0 < sum(found["searches_s"]) < sum(found["searches_s"] + found["legs_s"]) < found["cpu_s"]
 
 
 # --- what is made of results
@@ -241,6 +250,63 @@ def test_who_has_no_plan_has_no_clear_path() -> None:
     assert len({row.count("|") for row in rows}) == 1
     many = [{**runs[0], "vehicles": [vehicle()] * 2000}] * 2 + [{**runs[0], "vehicles": [vehicle(avoids=False)] * 2000}]
     assert "66.7 %" in table(Comparison(MOUNTAIN, 3, False, {"pso": many, BEST: runs}))[2]
+
+
+def scene_of(text: str, algorithms: tuple[str, ...], planned: dict[str, Any]) -> Comparison:
+    """Return results of which the searches' are all of one short search."""
+    found = search_fleet(text, "pso", 1, evaluations=100, controls=3)
+    return Comparison(text, 3, False, {**{name: [found, found] for name in algorithms}, PLANNER: [planned, planned]})
+
+
+def test_a_mission_without_a_plan_is_told(tmp_path: Path) -> None:
+    """The planner found none in any run: said in the tables and left out of the pictures."""
+    none = {"error": "no way", "cpu_s": 1.0, "machine": "m", "date": "2026-01-02"}
+    found = scene_of(MOUNTAIN, mountain.ALGORITHMS, none)
+    mountain.draw_all(tmp_path, found, mountain._PANELS, view=(24, -62))
+    assert len(list(tmp_path.glob("*.png"))) == 5
+    told = mountain.report([found])
+    assert "Plans found: 0 of 2. no way" in told
+    assert "found no plan: 0 of 2 runs" in multi_domain.report(found)
+    assert found.as_json()["algorithms"][-1]["cost_best"] is None
+    assert {row.count("|") for row in table(found)} == {11}
+
+
+def test_a_fleet_of_more_than_seven_is_drawn(tmp_path: Path) -> None:
+    """Colours are used again."""
+    more = "".join(
+        f"  - {{name: more{k}, start: {{x_m: {x}, y_m: {y}, alt_amsl_m: 1500}}, "
+        f"goal: {{x_m: {x + 500}, y_m: {y + 430}, alt_amsl_m: 2000}}}}\n"
+        for k, (x, y) in enumerate(((20, 60), (10, 160), (60, 160)))
+    )
+    text = MOUNTAIN.replace("# the paper's cylinders have no top", f"{more}# no top")
+    assert len(resolved(text)[0].tasks) == 8
+    none = {"error": "no way", "cpu_s": 1.0}
+    mountain.draw_all(tmp_path, scene_of(text, mountain.ALGORITHMS, none), mountain._PANELS, view=(24, -62))
+
+
+def test_runs_of_two_machines_are_told() -> None:
+    """A resumed campaign may be of several machines and days: none of them is hidden."""
+    none = {"error": "no way", "cpu_s": 1.0}
+    found = Comparison(MOUNTAIN, 3, False, {PLANNER: [{**none, "machine": m, "date": d} for m, d in
+                                                     (("one", "2026-01-02"), ("two", "2026-01-05"))]})  # fmt: skip
+    told = scene_comparison.made([found])
+    assert all(word in told for word in ("one; two", "2026-01-02", "2026-01-05", "do not compare"))
+
+
+def test_what_runs_depend_on() -> None:
+    """What is left out of a search's version is imported by nothing that prices or judges its path."""
+    root = Path(scene_comparison.__file__).parents[1]
+    core = scene_comparison.core_modules()
+    assert {f"missionplanner.{m}" for m in ("proof", "obstacles", "terrain", "cost", "kernels", "motion")} <= set(core)
+    for module in core:
+        path = root.parent.joinpath(*module.split("."))
+        for file in path.rglob("*.py") if path.is_dir() else [path.with_suffix(".py")]:
+            tree = ast.parse(file.read_text(encoding="utf-8"))
+            imported = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+            names = {f"{node.module}.{a.name}".split(".")[1] for node in imported for a in node.names
+                     if (node.module or "").startswith("missionplanner")}  # fmt: skip
+            if file.stem != "scene_runs":  # it runs the planner, whose runs depend on all
+                assert not names.intersection(scene_comparison._PLANNER_ONLY), file
 
 
 def test_results_are_collected(tmp_path: Path) -> None:
