@@ -73,6 +73,7 @@ class ObstacleGrid(NamedTuple):
     start: npt.NDArray[np.int32]  # (R, C + 1): square r, c owns solid[start[r, c]:start[r, c + 1]]
     solid: npt.NDArray[np.int32]
     span: npt.NDArray[np.int32]  # (O, 4): first row and column, last row and column of each solid
+    large: npt.NDArray[np.int32]  # the few that are asked about every place and stand in no square
 
 
 class ObstacleArrays(NamedTuple):
@@ -275,6 +276,17 @@ def grid_square(at: float, low: float, cell_m: float, count: int) -> int:
 
 
 @leaf
+def _nearer_hard(o: ObstacleArrays, i: int, x: float, y: float, z: float, best: float) -> float:
+    """Return the distance to a solid if it is hard and nearer than ``best``, else that."""
+    dx = x - o.bound[i, 0]
+    dy = y - o.bound[i, 1]
+    reach = best + o.bound[i, 2]
+    if o.hard[i] and reach > 0.0 and dx * dx + dy * dy < reach * reach:
+        return min(best, obstacle_distance(o, i, x, y, z))
+    return best
+
+
+@leaf
 def nearest_hard(o: ObstacleArrays, x: float, y: float, z: float, enough: float) -> float:
     """Return the signed distance from a point to the nearest hard solid, ``enough`` if none is nearer than that."""
     g = o.grid
@@ -283,6 +295,8 @@ def nearest_hard(o: ObstacleArrays, x: float, y: float, z: float, enough: float)
     row = grid_square(y, g.south, g.cell_m, rows)
     column = grid_square(x, g.west, g.cell_m, columns)
     best = enough
+    for n in range(g.large.shape[0]):
+        best = _nearer_hard(o, g.large[n], x, y, z, best)
     for ring in range(max(rows, columns)):
         if ring > 0 and (ring - 1) * g.cell_m > best:  # who is inside a solid is in one of its squares
             break
@@ -292,14 +306,7 @@ def nearest_hard(o: ObstacleArrays, x: float, y: float, z: float, enough: float)
                 if not 0 <= c < columns:
                     continue
                 for n in range(g.start[r, c], g.start[r, c + 1]):
-                    i = g.solid[n]
-                    if not o.hard[i]:
-                        continue
-                    dx = x - o.bound[i, 0]
-                    dy = y - o.bound[i, 1]
-                    reach = best + o.bound[i, 2]
-                    if reach > 0.0 and dx * dx + dy * dy < reach * reach:
-                        best = min(best, obstacle_distance(o, i, x, y, z))
+                    best = _nearer_hard(o, g.solid[n], x, y, z, best)
     return best
 
 
@@ -454,6 +461,13 @@ def _leg_obstacle_within(o: ObstacleArrays, leg: FloatArray, enough: float, refu
     best_index = -1
     g = o.grid
     rows = g.start.shape[0]
+    for n in range(g.large.shape[0]):
+        i = g.large[n]
+        d, at = _leg_solid(o, i, leg, length, best, refuse)
+        if d < best:
+            best, best_at, best_index = d, at, i
+            if best < refuse:
+                return best, best_at, best_index
     reach = max(enough, 0.0) + _ROUNDING_M
     first_row = grid_square(min(leg[0, 1], leg[1, 1]) - reach, g.south, g.cell_m, rows)
     last_row = grid_square(max(leg[0, 1], leg[1, 1]) + reach, g.south, g.cell_m, rows)
@@ -871,6 +885,10 @@ def solids_near(o: ObstacleArrays, boxes: FloatArray, reach: float, near: npt.ND
             near[0, i] = i
         return len(o.kind)
     found: int = 0
+    for n in range(g.large.shape[0]):
+        near[1, g.large[n]] = 1
+        near[0, found] = g.large[n]
+        found += 1
     for b in range(boxes.shape[0]):
         west = grid_square(boxes[b, 0] - reach, g.west, g.cell_m, columns)
         south = grid_square(boxes[b, 1] - reach, g.south, g.cell_m, rows)

@@ -127,6 +127,9 @@ _GRID_FROM = 16
 """Fewer solids than this are asked one by one as fast."""
 _SQUARE_LEAST_M = 1e-3
 """Though all solids stand in one point."""
+_LARGE_MOST = 8
+_LARGE_SQUARES = 12
+"""So many solids at most are in no square, if they are so many squares across."""
 _GRID_COPIES = 8
 """In so many squares, on average, a solid may be."""
 
@@ -146,15 +149,17 @@ def indexed(
 def _grid(bound: FloatArray) -> ObstacleGrid:
     """Return squares of the size of a solid's share of the plane, or larger if the solids are large."""
     count = len(bound)
+    none = np.zeros(0, dtype=np.int32)
     if count < _GRID_FROM:
         start, solid = np.array([[0, count]], dtype=np.int32), np.arange(count, dtype=np.int32)
-        return ObstacleGrid(0.0, 0.0, 1.0, start, solid, np.zeros((count, 4), dtype=np.int32))
-    low, high = bound[:, :2] - bound[:, 2:3], bound[:, :2] + bound[:, 2:3]
+        return ObstacleGrid(0.0, 0.0, 1.0, start, solid, np.zeros((count, 4), dtype=np.int32), none)
+    large = _large(bound)
+    inside = np.delete(np.arange(count), large)
+    low, high, cell_m = _squares(bound[inside])
     (west, south), size_m = low.min(axis=0), np.ptp(np.concatenate([low, high]), axis=0)
-    cell_m = max(math.sqrt(size_m[0] * size_m[1] / count), float(size_m.max()) / count, _SQUARE_LEAST_M)
     while True:
         columns, rows = (int(size // cell_m) + 1 for size in size_m)
-        span = np.empty((count, 4), dtype=np.int32)
+        span = np.zeros((count, 4), dtype=np.int32)
         for k, (at, origin, squares) in enumerate(
             (
                 (low[:, 1], south, rows),
@@ -163,19 +168,36 @@ def _grid(bound: FloatArray) -> ObstacleGrid:
                 (high[:, 0], west, columns),
             )
         ):
-            span[:, k] = np.clip((at - origin) / cell_m, 0, squares - 1)  # as kernels.grid_square
+            span[inside, k] = np.clip((at - origin) / cell_m, 0, squares - 1)  # as kernels.grid_square
         wide = span[:, 3] - span[:, 1] + 1
-        squares_of = (span[:, 2] - span[:, 0] + 1) * wide
-        if squares_of.sum() <= _GRID_COPIES * count:
+        squares_of = (span[inside, 2] - span[inside, 0] + 1) * wide[inside]
+        if squares_of.sum() <= _GRID_COPIES * len(inside):
             break
         cell_m *= 1.25
-    solid = np.repeat(np.arange(count), squares_of)
+    solid = np.repeat(inside, squares_of)
     place = np.arange(len(solid)) - np.repeat(np.cumsum(squares_of) - squares_of, squares_of)
     square = (span[solid, 0] + place // wide[solid]) * columns + span[solid, 1] + place % wide[solid]
     order = np.argsort(square, kind="stable")
     ends = np.searchsorted(square[order], np.arange(rows * columns + 1)).astype(np.int32)
     start = np.column_stack([ends[:-1].reshape(rows, columns), ends[columns::columns]])
-    return ObstacleGrid(float(west), float(south), cell_m, start, solid[order].astype(np.int32), span)
+    return ObstacleGrid(float(west), float(south), cell_m, start, solid[order].astype(np.int32), span, large)
+
+
+def _squares(bound: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+    """Return the boxes (O, 2) around solids, low and high, and the size of squares that suits them."""
+    low, high = bound[:, :2] - bound[:, 2:3], bound[:, :2] + bound[:, 2:3]
+    size_m = np.ptp(np.concatenate([low, high]), axis=0)
+    return low, high, max(math.sqrt(size_m[0] * size_m[1] / len(bound)), size_m.max() / len(bound), _SQUARE_LEAST_M)
+
+
+def _large(bound: FloatArray) -> npt.NDArray[np.int32]:
+    """Return the few solids that are so large that squares which suit all others would be wasted on them."""
+    by_size = np.argsort(-bound[:, 2], kind="stable")
+    for few in range(min(_LARGE_MOST, len(bound) - 1), 0, -1):
+        cell_m = _squares(bound[by_size[few:]])[2]
+        if 2.0 * bound[by_size[few - 1], 2] > _LARGE_SQUARES * cell_m:
+            return np.sort(by_size[:few]).astype(np.int32)
+    return np.zeros(0, dtype=np.int32)
 
 
 def _row(solid: Solid) -> tuple[int, tuple[float, ...], tuple[float, float, float, float, float]]:

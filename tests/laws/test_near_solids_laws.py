@@ -21,11 +21,12 @@ LIMITS = limits(terrain_margin_m=18.0, obstacle_margin_m=8.0, height_agl_max_m=4
 
 
 def solids(rng: np.random.Generator, count: int, size_m: float, *, bent: bool) -> ObstacleArrays:
-    """Return solids of all kinds, some of them large; ``bent``: prisms that are not convex among them."""
+    """Return solids of all kinds, some of them large or huge; ``bent``: prisms that are not convex among them."""
     found: list[Solid] = []
+    huge = int(rng.integers(0, 74))
     for i, (x, y) in enumerate(rng.uniform(-size_m, size_m, (count, 2))):
         radius, top, name = (
-            rng.uniform(1.0, 40.0) * (10.0 if rng.random() < 0.03 else 1.0),
+            rng.uniform(1.0, 40.0) * (10.0 if rng.random() < 0.03 else 1.0) * (1e3 if i % 37 == huge else 1.0),
             rng.uniform(20, 250),
             f"o{i}",
         )
@@ -54,7 +55,8 @@ def every(o: ObstacleArrays) -> ObstacleArrays:
     """Return the same solids without index: one square of which all are."""
     count = len(o.kind)
     start, solid = np.array([[0, count]], dtype=np.int32), np.arange(count, dtype=np.int32)
-    return o._replace(grid=ObstacleGrid(0.0, 0.0, 1.0, start, solid, np.zeros((count, 4), dtype=np.int32)))
+    span, none = np.zeros((count, 4), dtype=np.int32), np.zeros(0, dtype=np.int32)
+    return o._replace(grid=ObstacleGrid(0.0, 0.0, 1.0, start, solid, span, none))
 
 
 def space(o: ObstacleArrays) -> SpaceArrays:
@@ -103,6 +105,13 @@ def test_legs_keep_from_the_same_solids(seed: int, count: int, size_m: float) ->
         if bent:  # bounds of prisms that are not convex depend a little on what was found before them
             np.testing.assert_allclose(near[:, kernels.OBSTACLE], all_[:, kernels.OBSTACLE], rtol=0.02, atol=0.06)
         else:
+            other = near[:, kernels.OBSTACLE_INDEX] != all_[:, kernels.OBSTACLE_INDEX]
+            for row, leg in zip(near[other], tested[other], strict=True):  # only if both are as near, to the last bit
+                only = o._replace(hard=np.arange(count) == row[kernels.OBSTACLE_INDEX])
+                [alone] = kernels.legs_clearance(space(every(only)), leg[np.newaxis], math.inf)
+                np.testing.assert_array_equal(row, alone)
+            for column in (kernels.OBSTACLE_AT, kernels.OBSTACLE_INDEX):
+                near[other, column] = all_[other, column]
             np.testing.assert_array_equal(near, all_)
         clear, expected = (legs_clear(space(p), Margins.of(LIMITS), tested, math.inf) for p in (o, every(o)))
         np.testing.assert_array_equal(clear, expected)
@@ -136,6 +145,15 @@ def test_solids_near_boxes_are_listed_once_and_in_order(seed: int, count: int, s
     needed = (np.hypot(*apart.transpose(2, 0, 1)) < o.bound[:, 2:3] + 10.0).any(axis=1)
     assert set(np.flatnonzero(needed).tolist()) <= set(found)
     assert len(o.grid.solid) <= max(count, 8 * count)
+
+
+def test_squares_suit_the_many_beside_a_few_that_are_huge() -> None:
+    trees = [CylinderSolid("tree", 10.0 * (i % 40), 10.0 * (i // 40), 1.0) for i in range(1000)]
+    zones = [CylinderSolid("zone", x, 0.0, 5e4) for x in (6e4, -6e4)]
+    plain, beside = pack(trees).arrays.grid, pack([zones[0], *trees, zones[1]]).arrays.grid
+    assert beside.large.tolist() == [0, 1001]
+    assert plain.large.size == 0
+    assert (beside.cell_m, len(beside.solid)) == (plain.cell_m, len(plain.solid))
 
 
 @worlds
