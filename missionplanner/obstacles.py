@@ -231,6 +231,10 @@ def _row(solid: Solid) -> tuple[int, tuple[float, ...], tuple[float, float, floa
             return kernels.CABLE, (*start, *end, radius_m), (x, y, reach_m, low - radius_m, high + radius_m)
 
 
+_PAIRS = 1 << 16
+"""Of edges, looked at together."""
+
+
 def check_polygon(xy: FloatArray, name: str) -> None:
     """Check that a polygon (K, 2) is simple and has an area.
 
@@ -242,14 +246,16 @@ def check_polygon(xy: FloatArray, name: str) -> None:
     if xy.ndim != 2 or xy.shape[1] != 2 or len(xy) < 3 or not np.isfinite(xy).all():
         raise MissionError(f"{name}: expected a polygon of at least 3 finite corners, got {xy.tolist()}")
     after = np.roll(xy, -1, axis=0)
-    for i in range(len(xy)):
-        for j in range(i + 1, len(xy)):
-            neighbours = j == i + 1 or (i == 0 and j == len(xy) - 1)
-            if not neighbours and _touch(xy[i], after[i], xy[j], after[j]):
-                raise MissionError(
-                    f"{name}: expected a polygon whose edges do not cross, "
-                    f"got edges {i + 1} and {j + 1} crossing: list the corners in order around it"
-                )
+    rows = max(1, _PAIRS // len(xy))
+    for first in range(0, len(xy), rows):
+        i, j = np.arange(first, min(first + rows, len(xy)))[:, np.newaxis], np.arange(len(xy))
+        apart = (j > i + 1) & ((i > 0) | (j < len(xy) - 1))  # neighbours share a corner
+        touching = np.argwhere(apart & _touch(xy[i], after[i], xy[j], after[j]))
+        if len(touching):
+            raise MissionError(
+                f"{name}: expected a polygon whose edges do not cross, got edges {first + touching[0, 0] + 1} and "
+                f"{touching[0, 1] + 1} crossing: list the corners in order around it"
+            )
     if abs(float(np.sum(xy[:, 0] * after[:, 1] - xy[:, 1] * after[:, 0]))) < 1e-6:
         raise MissionError(f"{name}: expected a polygon with an area, got corners on one line")
 
@@ -259,25 +265,26 @@ def _check(name: str, field: str, value: float) -> None:
         raise MissionError(f"obstacle {name}: expected {field} > 0, got {value}")
 
 
-def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
-
-
-def _touch(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
-    """Whether the segments a-b and c-d share a point."""
-    turns = (_turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b))
-    if turns[0] * turns[1] < 0.0 and turns[2] * turns[3] < 0.0:
-        return True
-    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
-    return any(
-        turn == 0.0 and bool(np.all(np.minimum(p, q) <= r) and np.all(r <= np.maximum(p, q)))
-        for turn, (p, q, r) in zip(turns, ends, strict=True)
+def _turn(a: FloatArray, b: FloatArray, c: FloatArray) -> FloatArray:
+    turn: FloatArray = (b[..., 0] - a[..., 0]) * (c[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
+        c[..., 0] - a[..., 0]
     )
+    return turn
+
+
+def _touch(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> npt.NDArray[np.bool_]:
+    """Return which of the segments a-b and c-d, (..., 2) each, share a point."""
+    turns = (_turn(a, b, c), _turn(a, b, d), _turn(c, d, a), _turn(c, d, b))
+    touch: npt.NDArray[np.bool_] = (turns[0] * turns[1] < 0.0) & (turns[2] * turns[3] < 0.0)
+    ends = ((a, b, c), (a, b, d), (c, d, a), (c, d, b))
+    for turn, (p, q, r) in zip(turns, ends, strict=True):
+        touch |= (turn == 0.0) & ((np.minimum(p, q) <= r) & (r <= np.maximum(p, q))).all(axis=-1)
+    return touch
 
 
 def _is_convex(xy: FloatArray) -> bool:
-    turns = [_turn(xy[k - 2], xy[k - 1], xy[k]) for k in range(len(xy))]
-    return all(t >= 0.0 for t in turns) or all(t <= 0.0 for t in turns)
+    turns = _turn(np.roll(xy, 2, axis=0), np.roll(xy, 1, axis=0), xy)
+    return bool((turns >= 0.0).all() or (turns <= 0.0).all())
 
 
 def beneath(obstacles: Obstacles) -> list[Solid]:

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from missionplanner import obstacles
 from missionplanner.errors import MissionError
 from missionplanner.kernels import nearest_hard
 from missionplanner.obstacles import CableSolid, ConeSolid, CylinderSolid, PrismSolid, SphereSolid, join, pack
@@ -119,3 +120,16 @@ def test_many_solids_in_one_point_have_an_index():
     packed = pack([SphereSolid("dust", 1e4, 1e4, 0, 1e-13, "radar")] * 20)
     assert packed.distance_m((1e4, 1e4 + 3, 4)) == pytest.approx([5.0] * 20)
     assert nearest_hard(packed.arrays, 1e4, 1e4 + 3, 4.0, 1e3) == pytest.approx(5.0)
+
+
+def test_fine_polygons_are_looked_at_by_many_pairs_of_edges_at_once(monkeypatch):
+    calls = []
+    touch = obstacles._touch
+    monkeypatch.setattr(obstacles, "_touch", lambda *ends: calls.append(1) or touch(*ends))
+    angle = np.arange(600) * math.tau / 600
+    disc = 50.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    pack([PrismSolid("disc", disc)])
+    assert len(calls) < 20
+    disc[[580, 590]] = disc[[590, 580]]
+    with pytest.raises(MissionError, match=r"^obstacle disc: .* got edges 580 and 591 crossing"):
+        pack([PrismSolid("disc", disc)])
