@@ -229,20 +229,10 @@ def _clear_points(space: SpaceArrays, rules: Rules, p: FloatArray) -> npt.NDArra
         if not (p[n, 2] >= ground + rules.height_min_m and p[n, 2] <= rules.alt_max_m):
             clear[n] = False
             continue
-        if kernels.inside_distance(space, p[n, 0], p[n, 1], p[n, 2]) < rules.fence_m:
-            clear[n] = False
-            continue
-        o = space.obstacles
-        for i in range(o.kind.shape[0]):
-            if not o.hard[i]:
-                continue
-            dx, dy = p[n, 0] - o.bound[i, 0], p[n, 1] - o.bound[i, 1]
-            far = o.bound[i, 2] + rules.obstacle_m
-            if dx * dx + dy * dy < far * far and (
-                kernels.obstacle_distance(o, i, p[n, 0], p[n, 1], p[n, 2]) < rules.obstacle_m
-            ):
-                clear[n] = False
-                break
+        clear[n] = (
+            kernels.inside_distance(space, p[n, 0], p[n, 1], p[n, 2]) >= rules.fence_m
+            and kernels.nearest_hard(space.obstacles, p[n, 0], p[n, 1], p[n, 2], rules.obstacle_m) >= rules.obstacle_m
+        )
     return clear
 
 
