@@ -65,10 +65,7 @@ def collect(document: Path, results: Path) -> list[str]:
     MissionError
         The document cannot be read, has no such marks, or no results are there.
     """
-    try:
-        text = document.read_text(encoding="utf-8")
-    except OSError as error:
-        raise MissionError(f"{document}: expected a Markdown file, got: {error.strerror}") from error
+    text = _text(document)
     names = [match["name"] for match in _MARK.finditer(text)]
     if not names:
         raise MissionError(
@@ -91,6 +88,15 @@ def collect(document: Path, results: Path) -> list[str]:
     return list(found)
 
 
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise MissionError(f"{path}: expected a Markdown file, got: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise MissionError(f"{path}: expected Markdown in UTF-8, got byte {error.start} of another encoding") from error
+
+
 def _folder(results: Path, name: str) -> Path | None:
     for folder in (results / f"experiment_{name}", results / f"experiment_{name.replace('-', '_')}"):
         if (folder / "results.md").is_file():
@@ -100,7 +106,7 @@ def _folder(results: Path, name: str) -> Path | None:
 
 def _section(folder: Path, name: str, figures: Path) -> str:
     """Return an experiment's results as a section; copy its pictures."""
-    lines = (folder / "results.md").read_text(encoding="utf-8").strip().split("\n")
+    lines = _text(folder / "results.md").strip().split("\n")
     if lines[0].startswith("# "):
         lines = lines[1:]
     text = _HEADING.sub(r"#\1", "\n".join(lines).strip("\n"))

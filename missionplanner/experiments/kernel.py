@@ -31,7 +31,7 @@ from missionplanner.experiments.uav_objective import Instance
 from missionplanner.files import ensure_writable, replacing, write_atomic, write_csv
 from missionplanner.geodesy import FloatArray
 from missionplanner.mission import load_mission
-from missionplanner.scene import build_scene
+from missionplanner.scene import Scene, build_scene
 from missionplanner.search.run import minimise
 
 Progress = Callable[[str, float], None]
@@ -85,15 +85,16 @@ def main(
     turns = _QUICK_TURNS if quick else _TURNS
     cases = _instances(instances, seed)
     other = None if yardstick is None else _yardstick(yardstick)
+    scenes = [(path.stem, build_scene(load_mission(path), path.parent)) for path in missions]
     pace = _pace(turns)
     measured: list[Measured] = []
     for k, instance in enumerate(cases, start=1):
         measured += _objective(instance, other, turns, seed)
         progress("UAV objective", k / len(cases))
-    for k, mission in enumerate(missions, start=1):
-        measured.append(_price(mission, turns, seed))
-        progress("price of paths", k / len(missions))
-    _write(folder, measured, pace)
+    for k, (name, scene) in enumerate(scenes, start=1):
+        measured.append(_price(name, scene, turns, seed))
+        progress("price of paths", k / len(scenes))
+    _write(folder, measured, pace, quick=quick)
     return {
         "measured": [asdict(m) | {"gflops": m.gflops} for m in measured],
         "pace_gflops": pace,
@@ -134,10 +135,33 @@ def _yardstick(path: Path) -> Any:
         raise MissionError(f"--yardstick: expected a Python file, got {path}")
     module = importlib.util.module_from_spec(spec)
     sys.modules[path.stem] = module  # numba looks for what it has cached by this name
-    spec.loader.exec_module(module)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:  # it may do anything
+        raise _no_yardstick(error, path) from error
     if not hasattr(module, "Inst"):
         raise MissionError(f"--yardstick {path}: expected a class Inst(name, H, threats, start, end), got none")
     return module
+
+
+def _no_yardstick(error: Exception, what: object) -> MissionError:
+    reason = " ".join(f"{type(error).__name__}: {error}".split())
+    return MissionError(f"--yardstick: expected an implementation as uavbench.py, got of {what}: {reason}")
+
+
+def _beside(other: Any, instance: Instance) -> Callable[[FloatArray], Any]:
+    """Return the yardstick's prices of an instance, once they are seen to be ours."""
+    a = instance.arrays
+    points = np.linspace(instance.lower, instance.upper, 5)
+    try:
+        made = other.Inst(instance.name, a.height_m, a.threat, a.start, a.end, instance.dimensions // 3)
+        prices: Callable[[FloatArray], Any] = made.fb
+        same = np.allclose(prices(points), instance.price(points), rtol=1e-9, atol=0.0)
+    except Exception as error:  # it may do anything
+        raise _no_yardstick(error, instance.name) from error
+    if not same:
+        raise MissionError(f"--yardstick: expected the prices of {instance.name}, got others")
+    return prices
 
 
 def _objective(instance: Instance, other: Any, turns: int, seed: int) -> list[Measured]:
@@ -146,13 +170,7 @@ def _objective(instance: Instance, other: Any, turns: int, seed: int) -> list[Me
     best = minimise(instance.price, lower, upper, algorithm="pso", evaluations=_SETTLED, seed=seed).best
     near = np.clip(best + rng.normal(0.0, 0.01, (_POINTS, len(lower))) * (upper - lower), lower, upper)
     arrays = instance.arrays
-    theirs = (
-        None
-        if other is None
-        else other.Inst(
-            instance.name, arrays.height_m, arrays.threat, arrays.start, arrays.end, instance.dimensions // 3
-        )
-    )
+    theirs = None if other is None else _beside(other, instance)
     found = []
     for what, points in (("random", rng.uniform(lower, upper, near.shape)), ("settled", near)):
         works: list[Callable[[], object]] = [
@@ -160,9 +178,9 @@ def _objective(instance: Instance, other: Any, turns: int, seed: int) -> list[Me
             lambda points=points: instance.price(points, 2),  # type: ignore[misc]
         ]
         if theirs is not None:
-            if not np.allclose(theirs.fb(points), instance.price(points), rtol=1e-9, atol=0.0):
+            if not np.allclose(theirs(points), instance.price(points), rtol=1e-9, atol=0.0):
                 raise MissionError(f"--yardstick: expected the prices of {instance.name}, got others")
-            works.append(lambda points=points: theirs.fb(points))  # type: ignore[misc]
+            works.append(lambda points=points: theirs(points))  # type: ignore[misc]
         clock, took = _in_turn(works, turns)
         found.append(
             Measured(
@@ -200,13 +218,11 @@ def price_flops(samples: int) -> float:
     return float(samples * (48 + (36 + 2 * 14 + 35) + 6 + 6))
 
 
-def _price(path: Path, turns: int, seed: int) -> Measured:
-    mission = load_mission(path)
-    scene = build_scene(mission, path.parent)
+def _price(name: str, scene: Scene, turns: int, seed: int) -> Measured:
     task = scene.tasks[0]
     start, goal = task.route_m[0], task.route_m[-1]
     route_m = float(np.linalg.norm(np.diff(task.route_m, axis=0), axis=1).sum())
-    price = Price(scene.space, task.limits, route_m, mission.planner.weights)
+    price = Price(scene.space, task.limits, route_m, scene.mission.planner.weights)
     rng = np.random.default_rng(seed)
     s = np.linspace(0.0, 1.0, _SAMPLES)[:, np.newaxis]
     waves = sum(
@@ -217,7 +233,7 @@ def _price(path: Path, turns: int, seed: int) -> Measured:
     clock, took = _in_turn([lambda: price.total(paths, threads=1), lambda: price.total(paths, threads=2)], turns)
     return Measured(
         kernel="price",
-        case=path.stem,
+        case=name,
         each_us=float(np.median(took[:, 0])) / _PATHS * 1e6,
         yardstick_us=None,
         times_yardstick=None,
@@ -257,19 +273,19 @@ def _pace(turns: int) -> float:
 # --- what is written -------------------------------------------------------------------------------------------------
 
 
-def _write(folder: Path, measured: Sequence[Measured], pace: float) -> None:
+def _write(folder: Path, measured: Sequence[Measured], pace: float, *, quick: bool) -> None:
     fields = list(Measured.__dataclass_fields__)
     write_csv(
         folder / "kernel.csv",
         [*fields, "evaluations_per_s", "gflops", "of_the_pace"],
         [[*(getattr(m, f) for f in fields), 1e6 / m.each_us, m.gflops, m.gflops / pace] for m in measured],
     )
-    write_atomic(folder / "results.md", report(measured, pace))
+    write_atomic(folder / "results.md", report(measured, pace, quick=quick))
     with replacing(folder / "kernel.png") as draft:
         _drawn(measured).savefig(draft, format="png", metadata={"Software": None})
 
 
-def report(measured: Sequence[Measured], pace: float) -> str:
+def report(measured: Sequence[Measured], pace: float, *, quick: bool = False) -> str:
     """Return the figures as Markdown."""
     beside = any(m.times_yardstick is not None for m in measured)
     head = "| kernel | case | evaluations/s, one core | µs each |" + " yardstick, µs | times as fast |" * beside
@@ -287,6 +303,7 @@ def report(measured: Sequence[Measured], pace: float) -> str:
     return joined(
         "# Evaluations per second",
         machine() + load,
+        f"Quick: {_QUICK_TURNS} turns instead of {_TURNS}; a look, no measurement." if quick else "",
         "Medians over turns in which all are timed one after the other. Random points are drawn from the box; settled "
         "ones lie within about a hundredth of it around a point that a search found. Paths wave about the way. One "
         "core: time of the processor; two cores: by the clock, and true only of a machine that did nothing else.",

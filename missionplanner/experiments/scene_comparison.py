@@ -247,6 +247,13 @@ def core_modules() -> list[str]:
     return [*(f"missionplanner.{name}" for name in sorted(names.difference(_ABOVE, _PLANNER_ONLY))), *judges]
 
 
+def planning_modules() -> list[str]:
+    """Return all of the package that a plan depends on."""
+    return sorted(
+        m for m in (*core_modules(), *(f"missionplanner.{n}" for n in _PLANNER_ONLY)) if ".experiments." not in m
+    )
+
+
 def made(comparisons: Sequence[Comparison]) -> str:
     """Return on what and when the runs were made, resumed ones too."""
     told, comparable = gathered(run for c in comparisons for runs in c.results.values() for run in runs)

@@ -19,15 +19,24 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from missionplanner.experiments.uav_objective import HIGH_M, LOW_M, PENALTY, Instance, MapArrays
+from missionplanner.experiments.uav_objective import (
+    FREE_DEG,
+    HIGH_M,
+    INNER_M,
+    LOW_M,
+    OUTER_M,
+    PENALTY,
+    SAMPLES,
+    TERMS,
+    WEIGHTS,
+    Instance,
+    MapArrays,
+)
 from missionplanner.geodesy import FloatArray
 
 MIDDLE_M = 0.5 * (LOW_M + HIGH_M)
-_OUTER_M, _INNER_M = 11.0, 1.0
-_FREE_DEG = 45.0
-_SAMPLES = 12
 _ORDER = np.array([5, 2, 8, 10, 1, 6, 4, 3, 7, 9, 0, 11])  # of samples: what is under ground is so far from nodes
-_LENGTH_WEIGHT, _HEIGHT_WEIGHT = 5.0, 10.0
+_LENGTH_WEIGHT, _HEIGHT_WEIGHT = (float(WEIGHTS[TERMS.index(term)]) for term in ("length", "heights"))
 _BIN_DEG = 10.0
 _BINS = 19  # of climb angles: -90, -80, ... 90 degrees
 _LEVEL = 9  # the bin of level flight
@@ -70,7 +79,7 @@ def leg_price(m: MapArrays, ax: float, ay: float, aa: float, bx: float, by: floa
     per = 1.0 / ee if ee > 0.0 else 0.0
     for k in range(m.threat.shape[0]):
         radius = m.threat[k, 3]
-        outer = radius + _OUTER_M
+        outer = radius + OUTER_M
         wx, wy = m.threat[k, 0] - ax, m.threat[k, 1] - ay
         mx, my = wx - 0.5 * ex, wy - 0.5 * ey
         if mx * mx + my * my > (outer + half) * (outer + half):
@@ -81,13 +90,13 @@ def leg_price(m: MapArrays, ax: float, ay: float, aa: float, bx: float, by: floa
         if dd > outer * outer:
             continue
         d = math.sqrt(dd)
-        cost += PENALTY if d < radius + _INNER_M else outer - d
+        cost += PENALTY if d < radius + INNER_M else outer - d
     h = m.height_m
     rows, columns = h.shape
     if max(ax, bx) > columns - 1 or max(ay, by) > rows - 1:
         return cost + PENALTY
     for s in _ORDER:
-        t = s / (_SAMPLES - 1.0)
+        t = s / (SAMPLES - 1.0)
         x, y = ax + t * ex, ay + t * ey
         i, j = min(int(y), rows - 2), min(int(x), columns - 2)
         u, v = x - j, y - i
@@ -215,7 +224,7 @@ def woven(places: FloatArray, m: MapArrays, reach_m: float, out: FloatArray) -> 
                     if cross > dot:
                         total += math.degrees(math.atan2(cross, dot))
                     rise = abs(steep - climb[old, a, b])
-                    if rise > _FREE_DEG:
+                    if rise > FREE_DEG:
                         total += rise
                     if total < before:
                         before = total
@@ -260,7 +269,7 @@ def lattice_routes(instance: Instance, *, routes: int, rng: np.random.Generator)
     stay = np.zeros(len(node), dtype=np.float32)
     legs = int(_edges(m, reach_m, node, columns, steps, price, tilt, ends, end_tilt, stay))
     degrees = np.abs(np.subtract.outer(np.arange(_BINS), np.arange(_BINS))) * _BIN_DEG
-    corner = np.where(degrees > _FREE_DEG, degrees, 0.0).astype(np.float32)
+    corner = np.where(degrees > FREE_DEG, degrees, 0.0).astype(np.float32)
     there, back = np.full((2, count, len(node), _BINS), np.inf, dtype=np.float32)
     _forwards(price, tilt, ends[0], end_tilt[0], stay, jump, corner, there)
     _backwards(price, tilt, ends[1], end_tilt[1], stay, jump, corner, back)

@@ -16,6 +16,8 @@ from __future__ import annotations
 
 import math
 import os
+import zipfile
+import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -40,16 +42,22 @@ WEIGHTS = np.array([5.0, 1.0, 10.0, 1.0, 1.0])
 """Of length, threats, heights, angles and ground."""
 TERMS = ("length", "threats", "heights", "angles", "ground")
 
-_OUTER_M, _INNER_M = 11.0, 1.0
+OUTER_M, INNER_M = 11.0, 1.0
 """Beyond a cylinder's radius: nothing is paid further off than the outer, the penalty within the inner."""
-_FREE_DEG = 45.0
-_SAMPLES = 12  # of the ground, per leg
+FREE_DEG = 45.0
+SAMPLES = 12  # of the ground, per leg
 _BLOCK = 16  # cells
 _LEVELS = 6  # squares of 1, 2, 4, ... blocks
 _OCTANT = 0.7854  # just over pi / 4: how far the sine's series reaches
 _GUARD = 1e-9
 """Relative; what is closer than this to a threshold is judged by the definition itself."""
 _ROWS_PER_THREAD = 64
+
+_KEYS = ("H", "threats", "start", "end")
+_UNREADABLE = (  # what numpy lets through of files that are no archives, or cut or damaged ones
+    OSError, ValueError, KeyError, EOFError, TypeError, AttributeError, NotImplementedError, zipfile.BadZipFile,
+    zlib.error,
+)  # fmt: skip
 
 _kernel = njit(cache=True, error_model="numpy", nogil=True)
 _inlined = njit(error_model="numpy", nogil=True, inline="always")
@@ -128,13 +136,25 @@ def load(path: Path, vectors: int = VECTORS) -> Instance:
     MissionError
         No such file, no instance, or an end outside its map.
     """
+    return make(path.stem, *read_arrays(path), vectors=vectors)
+
+
+def read_arrays(path: Path) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Read heights (R, C), threats (T, 4), start (3,) and end (3,) from an .npz file.
+
+    Raises
+    ------
+    MissionError
+        No such file, a damaged one, or no instance.
+    """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = [np.asarray(file[key], dtype=np.float64) for key in ("H", "threats", "start", "end")]
-    except (OSError, ValueError, KeyError, EOFError, TypeError) as error:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            height_m, threats, start, end = (np.asarray(file[key], dtype=np.float64) for key in _KEYS)
+    except _UNREADABLE as error:
         reason = " ".join(str(error).split())
         raise MissionError(f"{path}: expected an .npz file with H, threats, start and end, got: {reason}") from error
-    return make(path.stem, *arrays, vectors=vectors)
+    _check(path.stem, height_m, threats, start, end)
+    return height_m, threats, start, end
 
 
 def make(
@@ -151,8 +171,23 @@ def make(
     Raises
     ------
     MissionError
-        Another shape, no numbers, or an end outside the map.
+        Another shape, no numbers, an end outside the map, or both ends in one place.
     """
+    _check(name, height_m, threats, start, end)
+    if vectors < 1:
+        raise MissionError(f"{name}: expected at least one vector, got {vectors}")
+    azimuth_rad = math.atan2(end[1] - start[1], end[0] - start[0])
+    reach_m = 2.0 * float(np.linalg.norm(end - start)) / vectors
+    quarter = math.pi / 4
+    heights = np.ascontiguousarray(height_m, dtype=np.float32)
+    threat = np.ascontiguousarray(threats)
+    arrays = MapArrays(heights, _highest(heights), threat, start.copy(), end.copy(), azimuth_rad)
+    lower = np.tile([0.0, -quarter, azimuth_rad - quarter], vectors)
+    upper = np.tile([reach_m, quarter, azimuth_rad + quarter], vectors)
+    return Instance(name, arrays, lower, upper)
+
+
+def _check(name: str, height_m: FloatArray, threats: FloatArray, start: FloatArray, end: FloatArray) -> None:
     for what, array, shape in (
         ("H", height_m, (-1, -1)),
         ("threats", threats, (-1, 4)),
@@ -171,17 +206,8 @@ def make(
             raise MissionError(
                 f"{name}: expected {what} within x 1 to {columns} and y 1 to {rows}, got {place[0]:g}, {place[1]:g}"
             )
-    if vectors < 1:
-        raise MissionError(f"{name}: expected at least one vector, got {vectors}")
-    azimuth_rad = math.atan2(end[1] - start[1], end[0] - start[0])
-    reach_m = 2.0 * float(np.linalg.norm(end - start)) / vectors
-    quarter = math.pi / 4
-    heights = np.ascontiguousarray(height_m, dtype=np.float32)
-    threat = np.ascontiguousarray(threats)
-    arrays = MapArrays(heights, _highest(heights), threat, start.copy(), end.copy(), azimuth_rad)
-    lower = np.tile([0.0, -quarter, azimuth_rad - quarter], vectors)
-    upper = np.tile([reach_m, quarter, azimuth_rad + quarter], vectors)
-    return Instance(name, arrays, lower, upper)
+    if (start[:2] == end[:2]).all():
+        raise MissionError(f"{name}: expected start and end in two places, got both at {start[0]:g}, {start[1]:g}")
 
 
 def _highest(heights: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -408,8 +434,8 @@ def _threats(m: MapArrays, p: _Lanes, lanes: int) -> None:
         for t in range(m.threat.shape[0]):
             cx = m.threat[t, 0]
             cy = m.threat[t, 1]
-            inner = m.threat[t, 3] + _INNER_M
-            outer = m.threat[t, 3] + _OUTER_M
+            inner = m.threat[t, 3] + INNER_M
+            outer = m.threat[t, 3] + OUTER_M
             near = 0
             for k in range(lanes):
                 wx = cx - x[k]
@@ -442,8 +468,8 @@ def _exact_threats(m: MapArrays, p: _Lanes, k: int) -> float:
                 d = abs(ex * wy - ey * wx) / math.sqrt(ee)
             else:
                 d = min(math.sqrt(wx * wx + wy * wy), math.sqrt((wx - ex) ** 2 + (wy - ey) ** 2))
-            if d <= radius + _OUTER_M:
-                cost += PENALTY if d < radius + _INNER_M else radius + _OUTER_M - d
+            if d <= radius + OUTER_M:
+                cost += PENALTY if d < radius + INNER_M else radius + OUTER_M - d
     return cost
 
 
@@ -463,7 +489,7 @@ def _angles(p: _Lanes, k: int) -> float:
             b += 1
         turn, turn_is_doubtful = _turn(p.ex[a, k], p.ey[a, k], p.ex[b, k], p.ey[b, k])
         rise, rise_is_doubtful = _rise(p.level[a, k], p.climb[i, k], p.level[b, k], p.climb[i + 1, k])
-        total += (turn if turn > _FREE_DEG else 0.0) + (rise if rise > _FREE_DEG else 0.0)
+        total += (turn if turn > FREE_DEG else 0.0) + (rise if rise > FREE_DEG else 0.0)
         if turn_is_doubtful or rise_is_doubtful:
             p.doubt[k] = 1.0
     return total
@@ -511,8 +537,8 @@ def _under_ground(m: MapArrays, p: _Lanes, k: int) -> bool:
             level += 1
         if level < _LEVELS and min(z0, z1) > m.highest_m[np.uint32(level), np.uint32(top), np.uint32(left)]:
             continue
-        for s in range(_SAMPLES):
-            t = s / (_SAMPLES - 1.0)
+        for s in range(SAMPLES):
+            t = s / (SAMPLES - 1.0)
             x = x0 + t * (x1 - x0)
             y = y0 + t * (y1 - y0)
             z = z0 + t * (z1 - z0)

@@ -17,6 +17,7 @@ from numba import njit
 
 from missionplanner.clearance import Margins, legs_clear
 from missionplanner.errors import MissionError
+from missionplanner.experiments.uav_objective import read_arrays
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays, TerrainArrays
 from missionplanner.obstacles import CylinderSolid, pack
@@ -70,14 +71,18 @@ def uav_scene(
         An array is not of this form.
     """
     heights, rows = np.array(heights_m, dtype=np.float64), np.array(threats, dtype=np.float64)
-    ends = np.array([start, end], dtype=np.float64)
+    places = [np.array(place, dtype=np.float64) for place in (start, end)]
+    if any(place.shape != (3,) for place in places):
+        got = ", ".join(str(place.tolist()) for place in places)
+        raise MissionError(f"start, end: expected x, y and height of both, got {got}")
+    ends = np.stack(places)
     if heights.ndim != 2 or min(heights.shape) < 4 or not np.isfinite(heights).all():
         raise MissionError(f"heights: expected a finite grid of at least 4 x 4, got one of shape {heights.shape}")
     if rows.ndim != 2 or rows.shape[1] != 4:
         raise MissionError(f"threats: expected rows of x, y, z and radius, got an array of shape {rows.shape}")
     north, east = heights.shape[0] - 1, heights.shape[1] - 1
     at = np.round(ends[:, :2]).astype(int)
-    if ends.shape != (2, 3) or not ((at >= 1) & (at <= (east, north))).all():
+    if not ((at >= 1) & (at <= (east, north))).all():
         raise MissionError(f"start, end: expected x, y and height on a map of {east} x {north} m, got {ends.tolist()}")
     ends[:, 2] += heights[at[:, 1] - 1, at[:, 0] - 1]  # the objective counts its nodes from one here
     to_cell = np.zeros((2, 10))
@@ -104,13 +109,9 @@ def load_scene(
     MissionError
         No such file, or no instance.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = [np.asarray(file[key], dtype=np.float64) for key in ("H", "threats", "start", "end")]
-    except (OSError, ValueError, KeyError, EOFError, TypeError) as error:
-        reason = " ".join(str(error).split())
-        raise MissionError(f"{path}: expected an .npz file with H, threats, start and end, got: {reason}") from error
-    return uav_scene(*arrays, threat_margin_m=threat_margin_m, height_min_m=height_min_m, height_max_m=height_max_m)
+    return uav_scene(
+        *read_arrays(path), threat_margin_m=threat_margin_m, height_min_m=height_min_m, height_max_m=height_max_m
+    )
 
 
 def free_flight(obstacle_margin_m: float, height_min_m: float, height_max_m: float) -> VehicleLimits:

@@ -1,12 +1,12 @@
-"""Searches of the UAV path objective: as a black box, and with the planner's own first guesses.
+"""Searches of the UAV path objective: as a black box, and from a graph search of the objective itself.
 
 Three ways to spend the same number of evaluations:
 
 * *black box*: PSO-ABC-SA over the box of vectors, knowing nothing;
 * *guessed*: the same, begun with the paths of a graph search over the map (:func:`.uav_graph.lattice_routes`);
-* *grey box*: these paths improved by weaving. Places are drawn around all waypoints at once, and the cheapest of all
-  paths through them is found by dynamic programming (:func:`.uav_graph.woven`). Places close in while nothing is
-  better; a path that nothing near improves is kicked, a few waypoints off, and woven anew.
+* *grey box*: these paths improved by weaving, without any swarm. Places are drawn around all waypoints at once, and the
+  cheapest of all paths through them is found by dynamic programming (:func:`.uav_graph.woven`). Places close in while
+  nothing is better; a path that nothing near improves is kicked, a few waypoints off, and woven anew.
 
 What counts: every call of the objective, and in weaving every n + 1 legs priced, rounded up, since a path has so many.
 What the graph search takes is not counted.

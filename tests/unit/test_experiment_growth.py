@@ -51,6 +51,28 @@ def test_kernel_refuses_what_is_not_there(tmp_path: Path) -> None:
     (tmp_path / "other.py").write_text("x = 1\n")
     with pytest.raises(MissionError, match="expected a class Inst"):
         kernel.main(tmp_path / "out", yardstick=tmp_path / "other.py", quick=True)
+    for content, told in (
+        ("x = (\n", "SyntaxError"),
+        ("import no_such_module\n", "no_such_module"),
+        ("class Inst:\n    def __init__(self, name):\n        pass\n", "TypeError"),
+        ("class Inst:\n    def __init__(self, *a):\n        pass\n", "fb"),
+    ):
+        (tmp_path / "other.py").write_text(content)
+        with pytest.raises(MissionError, match=f"--yardstick: expected an implementation.*{told}") as error:
+            kernel._beside(kernel._yardstick(tmp_path / "other.py"), kernel.made(1, 3, 100))
+        assert "\n" not in str(error.value)
+
+
+def test_missions_are_read_before_anything_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(kernel, "_pace", None)  # the first to be measured
+    with pytest.raises(MissionError, match=r"none\.yaml"):
+        kernel.main(tmp_path / "out", missions=[tmp_path / "none.yaml"], quick=True)
+
+
+def test_quick_results_say_so() -> None:
+    one = kernel.Measured("price", "m", 1.0, None, None, 1.5, 100.0, 10)
+    assert "Quick: " in kernel.report([one], 1.0, quick=True)
+    assert "Quick: " not in kernel.report([one], 1.0)
 
 
 @pytest.mark.slow

@@ -60,6 +60,7 @@ def test_both_surfaces_and_the_threats_are_asked() -> None:
         ({"heights_m": np.zeros((3, 3))}, "heights: expected a finite grid of at least 4 x 4"),
         ({"threats": np.zeros((2, 3))}, "threats: expected rows of x, y, z and radius"),
         ({"start": (0.0, 5.0, 100.0)}, "start, end: expected x, y and height on a map of 199 x 199 m"),
+        ({"start": (50.0, 50.0)}, "start, end: expected x, y and height of both"),
     ],
 )
 def test_no_instance(change: dict[str, object], message: str) -> None:
@@ -73,6 +74,7 @@ def test_over_an_even_slope_the_shortest_path_is_that_among_discs(tmp_path: Path
     case = lengths._case(instance=str(path))
     level_m = shortest_m(tuple(START[:2]), tuple(END[:2]), [(x, y, r + 1.0) for x, y, _, r in THREATS.tolist()])
     exact_m = math.hypot(level_m, case.scene.goal_m[2] - case.scene.start_m[2])
+    assert case.bound_m == pytest.approx(exact_m, abs=1e-6)
     for thorough in (False, True):
         found = lengths.shortest(case, thorough=thorough)
         assert case.judged(found)
@@ -88,6 +90,30 @@ def test_rough_ground_is_kept_on_both_surfaces(tmp_path: Path) -> None:
 def test_no_instances_in_the_folder(tmp_path: Path) -> None:
     with pytest.raises(MissionError, match=r"--instances: expected a folder with instances"):
         lengths.main(tmp_path / "out", mission=MOUNTAIN, instances=tmp_path)
+
+
+def test_bounds_are_of_the_scene_not_of_its_name(tmp_path: Path) -> None:
+    """The paper's known optima; a mission of the same name with another goal has another bound."""
+    for margin_m, known_m in ((0.0, 827.904), (5.0, 828.333), (10.0, 839.680), (20.0, 850.937)):
+        assert lengths._case(mission=str(MOUNTAIN), margin_m=margin_m).bound_m == pytest.approx(known_m, abs=1e-3)
+    other = tmp_path / "mountain.yaml"
+    other.write_text(MOUNTAIN.read_text().replace("goal: {x_m: 600, y_m: 450", "goal: {x_m: 600, y_m: 500"))
+    bound_m = lengths._case(mission=str(other), margin_m=0.0).bound_m
+    assert bound_m is not None
+    assert bound_m > 840.0
+
+
+def test_changed_files_are_other_problems(tmp_path: Path) -> None:
+    mission = tmp_path / "m.yaml"
+    mission.write_text(MOUNTAIN.read_text())
+    instance = write(tmp_path, hills())
+    before = lengths._contents(mission, tmp_path)
+    assert set(before) == {str(mission), str(instance)}
+    write(tmp_path, hills() + 1.0)
+    moved = lengths._contents(mission, tmp_path)
+    assert moved[str(instance)] != before[str(instance)]
+    mission.write_text(MOUNTAIN.read_text() + "# another\n")
+    assert lengths._contents(mission, tmp_path)[str(mission)] != before[str(mission)]
 
 
 @pytest.mark.slow

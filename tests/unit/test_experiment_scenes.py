@@ -340,6 +340,12 @@ def test_results_are_collected(tmp_path: Path) -> None:
         collect(tmp_path / "plain.md", tmp_path)
     with pytest.raises(MissionError, match="expected a Markdown file"):
         collect(tmp_path / "absent.md", tmp_path)
+    (folder / "results.md").write_bytes("# Größe\n".encode("latin-1"))
+    with pytest.raises(MissionError, match=r"results\.md: expected Markdown in UTF-8"):
+        collect(document, tmp_path)
+    document.write_bytes("# Größe\n".encode("latin-1"))
+    with pytest.raises(MissionError, match=r"E\.md: expected Markdown in UTF-8"):
+        collect(document, tmp_path)
 
 
 def test_every_section_is_of_a_command() -> None:

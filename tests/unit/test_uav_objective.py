@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib.util
 import math
 import sys
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from hypothesis.extra.numpy import arrays
 from missionplanner.errors import MissionError
 from missionplanner.experiments import uav_objective
 from missionplanner.experiments.uav_objective import Instance
+from missionplanner.experiments.uav_scene import load_scene
 from missionplanner.geodesy import FloatArray
 
 BENCH = Path(__file__).parents[3] / "shared" / "bench"
@@ -180,6 +183,30 @@ def test_it_equals_an_independent_implementation(number: int, yardstick: ModuleT
     np.testing.assert_array_equal(instance.upper, other.ub)
     x = mixed(instance, 6000, number)
     np.testing.assert_allclose(instance.price(x), other.fb(x), rtol=RELATIVE)
+
+
+@pytest.mark.parametrize("load", [uav_objective.load, load_scene])
+def test_damaged_files_are_told_alike_by_all_who_read_them(load: Callable[[Path], object], tmp_path: Path) -> None:
+    good = made(0).arrays
+    whole: dict[str, Any] = {"H": good.height_m, "threats": good.threat, "start": good.start, "end": good.end}
+    path = tmp_path / "i.npz"
+    np.savez_compressed(path, **whole)
+    data = path.read_bytes()
+    middle = len(data) // 3
+    damaged = data[:middle] + bytes(255 - b for b in data[middle : middle + 200]) + data[middle + 200 :]
+    for content in (data[: len(data) // 2], damaged, b"PK", b"nothing of the kind", b""):
+        path.write_bytes(content)
+        with pytest.raises(MissionError, match=r"i\.npz: expected an \.npz file") as error:
+            load(path)
+        assert "\n" not in str(error.value)
+    for change, told in (
+        ({"start": good.start[:2]}, r"i: expected start of shape \(3,\)"),
+        ({"end": good.start}, "i: expected start and end in two places"),
+        ({"threats": good.threat * np.nan}, "i: expected threats"),
+    ):
+        np.savez(path, **(whole | change))
+        with pytest.raises(MissionError, match=told):
+            load(path)
 
 
 def test_errors_name_the_file_and_what_it_lacks(tmp_path: Path) -> None:

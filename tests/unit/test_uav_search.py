@@ -1,4 +1,4 @@
-"""The UAV objective with the planner's own first guesses: by laws, by brute force, and by what is counted."""
+"""The UAV objective from a graph search of itself: by laws, by brute force, and by what is counted."""
 
 from __future__ import annotations
 
@@ -280,6 +280,8 @@ def test_the_experiment_tells_gaps_against_the_best_known(tmp_path: Path, monkey
     text = (tmp_path / "out" / "results.md").read_text()
     assert "| hills | 100.0 |" in text
     assert text.count("(of these runs)") == 2  # plain, at both numbers of evaluations
+    assert text.count(" worth of legs of the graph)") == 2  # in the headings of both
+    assert "Runs of " in text
     for picture in ("gaps.png", "paths.png"):
         assert (tmp_path / "out" / picture).read_bytes().startswith(b"\x89PNG")
     rows = (tmp_path / "out" / "runs.csv").read_text().splitlines()
@@ -287,6 +289,16 @@ def test_the_experiment_tells_gaps_against_the_best_known(tmp_path: Path, monkey
 
     monkeypatch.setattr(uav_search, "run", None)  # nothing is run again
     assert uav_search.main(tmp_path / "out", workers=1, **arguments) == figures
+
+
+def test_a_file_of_best_values_hides_none_that_is_better(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    instances = saved(tmp_path / "in", one=made(0))
+    monkeypatch.setattr(uav_search, "BEST_KNOWN", {uav_search.digest(uav_objective.load(instances / "one.npz")): 50.0})
+    best = tmp_path / "best.json"
+    for told, counts in ((70.0, 50.0), (30.0, 30.0)):
+        best.write_text(json.dumps({"one": told}))
+        found = uav_search.measure(tmp_path / "out", instances, 1, (5,), best=best, workers=1)
+        assert found.best["one"] == counts
 
 
 def test_an_instance_is_known_by_its_content() -> None:
@@ -303,11 +315,16 @@ def test_an_instance_is_known_by_its_content() -> None:
         ({"evaluations": (0,)}, "evaluations: expected numbers of at least 1"),
         ({"evaluations": ()}, "evaluations: expected numbers of at least 1"),
         ({"best": Path("none.json")}, "none.json: expected JSON of best values"),
+        ({"best": {"one": 0.0}}, "one: expected a number above 0, got 0"),
+        ({"best": {"one": math.inf}}, "one: expected a number above 0, got inf"),
     ],
 )
 def test_wrong_input_is_told_in_one_line(tmp_path: Path, change: dict[str, Any], told: str) -> None:
     instances = saved(tmp_path / "in", one=made(0))
     arguments = {"instances": instances, "seeds": 1, "evaluations": (10,), **change}
+    if isinstance(arguments.get("best"), dict):
+        (tmp_path / "best.json").write_text(json.dumps(arguments["best"]))
+        arguments["best"] = tmp_path / "best.json"
     with pytest.raises(MissionError, match=told) as error:
         uav_search.main(tmp_path / "out", **arguments)
     assert "\n" not in str(error.value)
