@@ -12,6 +12,7 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
 from missionplanner import kernels
@@ -252,6 +253,8 @@ class _Sum(NamedTuple):
     gradient: FloatArray  # (6,)
     hessian: FloatArray  # (6, 6)
     normal: FloatArray  # (3,) scratch
+    box: FloatArray  # (1, 6) scratch: around a leg
+    near: npt.NDArray[np.int64]  # (2, O) scratch: solids near it; the second row all 0
     shift_m: float  # how far below the margin barriers end
 
 
@@ -439,7 +442,11 @@ def _leg_barrier(
     o = space.obstacles
     low, high = min(a[2], b[2]), max(a[2], b[2])
     near = rules.obstacle_m + reach_m
-    for i in range(o.kind.shape[0]):
+    for k in range(3):
+        add.box[0, k] = min(a[k], b[k])
+        add.box[0, 3 + k] = max(a[k], b[k])
+    for n in range(kernels.solids_near(o, add.box, near, add.near)):
+        i = add.near[0, n]
         if not o.hard[i] or low - o.bound[i, 4] >= near or o.bound[i, 3] - high >= near:
             continue
         wx, wy = o.bound[i, 0] - a[0], o.bound[i, 1] - a[1]
@@ -651,9 +658,10 @@ def tighten(
     for n in range(size - 1):
         length_m += _distance(p, n, n + 1)
     gradient, band, trial = np.empty(rows), np.empty((_BAND, rows)), np.empty_like(p)
+    box, near = np.empty((1, 6)), np.zeros((2, space.obstacles.kind.shape[0]), dtype=np.int64)
     for n in range(len(_WEIGHTS)):
         weight = _WEIGHTS[n] * length_m
-        add = _Sum(np.empty(6), np.empty((6, 6)), np.empty(3), _SHIFT * weight)
+        add = _Sum(np.empty(6), np.empty((6, 6)), np.empty(3), box, near, _SHIFT * weight)
         size = _drop_points(space, rules, walls, p, size)
         size = _cut_corners(space, rules, walls, p, size, tolerance_m)
         if size > 2:
