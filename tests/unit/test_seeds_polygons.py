@@ -1,13 +1,14 @@
-"""First guesses past polygons: finely drawn ones, and such that reach around the path."""
+"""First guesses past many solids, finely drawn polygons, and such that reach around the path."""
 
 import math
 import tracemalloc
 
 import numpy as np
 
-from missionplanner.obstacles import PrismSolid
+from missionplanner.obstacles import CylinderSolid, PrismSolid
 from missionplanner.roadmap import _rings
 from missionplanner.seeds import first_guesses
+from tests.laws.test_near_solids_laws import every
 from tests.oracles.tangent_graph import shortest_m
 from tests.unit.test_seeds import EAST, WEST, check, length_m, limits, space
 
@@ -72,3 +73,18 @@ def test_through_the_narrow_mouth_of_a_polygon_a_leg_leads_out() -> None:
     check(where, rules, [path], start, goal)
     mouth = np.array([40.0, 0.0, 100.0])
     assert length_m(path) < 1.001 * (np.linalg.norm(mouth - start) + np.linalg.norm(goal - mouth))
+
+
+def test_the_index_of_solids_changes_no_guess() -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        masts = [
+            CylinderSolid("mast", x, y, rng.uniform(1.0, 12.0))
+            for x, y in rng.uniform(-900.0, 900.0, (120, 2))
+            if min(math.dist((x, y), end[:2]) for end in ENDS) > 40.0
+        ]
+        where, rules = space(*masts, CylinderSolid("zone", 0.0, 9e4, 8.99e4)), limits(60.0, MARGIN_M)
+        assert where.obstacles.grid.large.size == 1
+        plain = where._replace(obstacles=every(where.obstacles))
+        for one, other in zip(*(first_guesses(w, rules, WEST, EAST, count=2) for w in (where, plain)), strict=True):
+            np.testing.assert_array_equal(one, other)
