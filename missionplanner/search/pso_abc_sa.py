@@ -13,16 +13,17 @@ best few as the budget is spent (Tanabe & Fukunaga 2014, L-SHADE, doi:10.1109/CE
 
 ``better`` is one of the group's best, ``one`` a fellow, ``other`` a fellow or a source that was given up not long ago
 (current-to-pbest/1 with an archive: Zhang & Sanderson 2009, JADE, doi:10.1109/TEVC.2009.2014613). The learning factors
-C1 and C2 lie in (0, 0.7]. Both, and the share of coordinates that change, are drawn around what led to success in the
+C1 and C2 lie in (0, 1]. Both, and the share of coordinates that change, are drawn around what led to success in the
 group lately: memories as in jSO (Brest, Maucec & Boskovic 2017, doi:10.1109/CEC.2017.7969456), whose last entry stays
-at 0.9. Coordinates change one by one, or as a block of neighbours (coordinates next to each other often belong
-together: waypoints of a path); the more successful of the two is used more. Bees stop at the walls: many an optimum
-lies there. A better source replaces the old one.
+at 0.9. Factors begin large, to explore, and start again small once the groups are one. Coordinates change one by one,
+or as a block of neighbours (coordinates next to each other often belong together: waypoints of a path); the more
+successful of the two is used more. Bees stop at the walls: many an optimum lies there. A better source replaces the
+old one.
 
 *The leader* takes off from the best source and flies by CMA-ES (Hansen 2016, arXiv:1604.00772): its velocity is the
 evolution path, its coordinate system that of the better half of the bees at first, then its own. Bees and leader share
-the evaluations by what each has gained lately for each it was given; a better point of the leader's replaces the worst
-bee's source.
+the evaluations by what each has gained lately for each that it was given; without gain the leader's share falls. A
+point of the leader's that is better than all replaces the worst bee's source.
 
 *Scouts, annealed.* A leader that has been behind the bees for ``patience`` generations is judged by the Metropolis rule
 (32, 33): it flies on with probability ``exp(-rise / (T * spread))``, where T falls from 1 to 0 over the budget and
@@ -41,8 +42,9 @@ from missionplanner.search.base import FloatArray, IntArray
 from missionplanner.search.moves import accepted, spread
 
 _WIDTH = 0.1  # of the draws around the memories, as in JADE
-_FIRST_FACTOR, _FIRST_SHARE = 0.5, 0.8  # the memories' first entries; the last one stays at 0.9
-_MEMORY, _KEPT = 5, 0.9
+_MEMORY, _KEPT = 5, 0.9  # entries that learn, and the one more that does not
+_FIRST_FACTOR, _FIRST_SHARE = 0.7, 0.8
+_MERGED_FACTOR = 0.2  # once groups are one: from far to near
 _ELITE, _ELITE_LATE = 0.2, 0.05  # of the group: those that a bee may be drawn to, at first and at the end
 _ARCHIVE = 1.5  # sources given up that are remembered, per bee
 _BLOCKS_LEAST = 0.1
@@ -65,22 +67,20 @@ class PsoAbcSaSettings:
     blocks : change blocks of neighbouring coordinates as well.
     walls : stop at walls; else half way to them.
     shrink : exponent of the population's decline; 0 for none. ``smallest`` : bees left in the end.
-    flight : let a leader fly. ``share_least`` : of the evaluations, for bees as for the leader.
+    flight : let a leader fly. ``share_least`` : of the evaluations from then on, for bees as for the leader.
     scouts : recall leaders that are behind. ``annealing`` : by the Metropolis rule; else always.
     """
 
     groups: bool = True
-    apart: float = 0.3
+    apart: float = 0.4
     memory: bool = True
-    factor_most: float = 0.7
     archive: bool = True
     blocks: bool = True
     walls: bool = True
     shrink: float = 1.5
     smallest: int = 5
     flight: bool = True
-    take_off: float = 0.4
-    share_least: float = 0.15
+    share_least: float = 0.25
     scouts: bool = True
     annealing: bool = True
 
@@ -101,6 +101,11 @@ def population_for(dimensions: int, evaluations: int) -> int:
     return groups * int(max(min(bees, evaluations / (12.0 * groups)), _BEES_LEAST))
 
 
+def take_off_for(evaluations: int) -> float:
+    """Return the share of the budget until the leader takes off: the more evaluations, the longer bees are alone."""
+    return min(0.25 + 0.5 * max(math.log10(evaluations / 10_000.0), 0.0), 0.8)
+
+
 class PsoAbcSa:
     """Bees and a leader that share the evaluations."""
 
@@ -111,17 +116,18 @@ class PsoAbcSa:
         self._bees = _Bees(initial, evaluations, rng, self._settings)
         self._leader: _Leader | None = None
         self._flies = False
+        self._best_cost = np.inf
         self._used = 0
+        self._take_off = evaluations * take_off_for(evaluations)
         self._behind = 0
         self._spent, self._gained = np.ones(2), np.zeros(2)  # by the bees and by the leader, lately
         self._leader_share = 0.5
         self._half_life = _HALF_LIFE * initial.shape[1]
-        self._patience = 10 + initial.shape[1]
+        self._patience = 5 + initial.shape[1] // 6
 
     def ask(self) -> FloatArray:
         """Return the bees' next points (P', D), or the leader's."""
-        s = self._settings
-        if self._leader is None and s.flight and self._used >= s.take_off * self._evaluations:
+        if self._leader is None and self._settings.flight and self._used >= self._take_off:
             self._leader = self._bees.leader()
         self._flies = self._leader is not None and self._spent[1] < self._leader_share * self._spent.sum()
         if self._leader is not None and self._flies:
@@ -131,15 +137,18 @@ class PsoAbcSa:
     def tell(self, cost: FloatArray) -> None:
         """Take the costs to those who asked, and settle who gets how many of the next evaluations."""
         self._used += len(cost)
-        before = self._bees.best_cost
+        before = self._best_cost
         if self._leader is not None and self._flies:
             self._leader.tell(cost)
+            self._best_cost = min(before, self._leader.best_cost)
             self._bees.learn(self._leader.best, self._leader.best_cost)
             self._judge(self._leader)
         else:
             self._bees.tell(cost)
-        if self._leader is not None or self._flies:
-            self._settle(len(cost), before - self._bees.best_cost if before < np.inf else 0.0)
+            self._best_cost = min(before, self._bees.best_cost)
+        if self._leader is not None:
+            gain = before - self._best_cost
+            self._settle(len(cost), gain if np.isfinite(gain) else 0.0)
 
     @property
     def _progress(self) -> float:
@@ -152,8 +161,10 @@ class PsoAbcSa:
         self._spent[int(self._flies)] += evaluations
         self._gained[int(self._flies)] += gain
         rate = self._gained / np.maximum(self._spent, 1.0)
-        if 0.0 < rate.sum() < np.inf:
-            least = self._settings.share_least
+        least = self._settings.share_least
+        if gain == 0.0:
+            self._leader_share += (least - self._leader_share) * (1.0 - fade)
+        elif 0.0 < rate.sum() < np.inf:
             self._leader_share = float(min(max(rate[1] / rate.sum(), least), 1.0 - least))
 
     def _judge(self, leader: _Leader) -> None:
@@ -180,7 +191,7 @@ class _Bees:
         wanted = groups_for(dimensions, evaluations) if settings.groups else 1
         self._groups = max(1, min(wanted, first // _BEES_LEAST))
         self._group = np.arange(first) % self._groups
-        self._first = first
+        self._first, self._apart = first, True
         self.source = initial.copy()
         self.cost = np.full(first, np.inf)
         self.best_cost = np.inf
@@ -201,9 +212,11 @@ class _Bees:
         """Return a candidate for every bee."""
         if not self._priced:
             return self._candidate
-        if progress >= self._settings.apart and self._groups > 1:
-            self._groups = 1
+        if self._apart and progress >= self._settings.apart:
+            self._apart, self._groups = False, 1
             self._group[:] = 0
+            if self._settings.memory:
+                self._memory[:2, :, :_MEMORY] = _MERGED_FACTOR
         self._shrink(progress)
         self._drawn = self._draw(progress)
         self._candidate = self._search(progress)
@@ -217,7 +230,8 @@ class _Bees:
             self.best_cost = float(cost.min())
             return
         better, kept = cost < self.cost, cost <= self.cost
-        gain = np.where(better, np.where(np.isfinite(self.cost), self.cost - cost, 1.0), 0.0)
+        fall = self.cost - cost
+        gain = np.where(better, np.where(np.isfinite(fall), fall, 1.0), 0.0)
         if self._settings.memory:
             self._learn_factors(gain)
         self._learn_blocks(gain)
@@ -248,7 +262,11 @@ class _Bees:
         stay = np.concatenate([order[self._group[order] == g][: max(bees, s.smallest)] for g in range(self._groups)])
         if len(stay) < len(order):
             stay.sort()
-            self.source, self.cost, self._group = self.source[stay], self.cost[stay], self._group[stay]
+            self.source, self.cost, self._group = (
+                self.source[stay],
+                self.cost[stay],
+                self._group[stay],
+            )
         room = round(_ARCHIVE * len(self.cost))
         if len(self._given_up) > room:
             self._given_up = self._given_up[np.sort(self._rng.permutation(len(self._given_up))[:room])]
@@ -258,9 +276,9 @@ class _Bees:
         bees = len(self.cost)
         entry = self._memory[:, self._group, self._rng.integers(0, _MEMORY + 1, bees)]
         drawn = np.empty((3, bees))
-        drawn[:2] = np.minimum(positive_cauchy(self._rng, entry[:2]), self._settings.factor_most)
+        drawn[:2] = np.minimum(positive_cauchy(self._rng, entry[:2]), 1.0)
         # few coordinates at a time find what separates, but not while there is much to explore
-        least = 0.7 if progress < 0.25 else 0.6
+        least = 0.7 if progress < 0.25 else 0.6 if progress < 0.5 else 0.0
         drawn[2] = np.clip(entry[2] + _WIDTH * self._rng.standard_normal(bees), least, 1.0)
         return drawn
 
@@ -307,7 +325,11 @@ class _Bees:
         """Move each group's oldest entry half way to what succeeded, weighted by its gain."""
         for g in np.unique(self._group[gain > 0.0]):
             mine = (self._group == g) & (gain > 0.0)
-            weight, drawn, slot = gain[mine] / gain[mine].max(), self._drawn[:, mine], self._oldest[g]
+            weight, drawn, slot = (
+                gain[mine] / gain[mine].max(),
+                self._drawn[:, mine],
+                self._oldest[g],
+            )
             mean = (weight * drawn * drawn).sum(axis=1) / (weight * drawn).sum(axis=1)
             self._memory[:, g, slot] = 0.5 * (self._memory[:, g, slot] + mean)
             self._oldest[g] = (slot + 1) % _MEMORY
@@ -362,7 +384,11 @@ class _Leader:
             self._axes_age = 0.0
         steps = (self._rng.standard_normal((self._lambda, self._n)) * self._lengths) @ self._axes.T
         free = self._mean + self._sigma * steps
-        self._candidate = np.clip(np.where(free < 0.0, -free, np.where(free > 1.0, 2.0 - free, free)), 0.0, 1.0)
+        self._candidate = np.clip(
+            np.where(free < 0.0, -free, np.where(free > 1.0, 2.0 - free, free)),
+            0.0,
+            1.0,
+        )
         return self._candidate
 
     def tell(self, cost: FloatArray) -> None:
@@ -373,7 +399,11 @@ class _Leader:
         self._axes_age += 1.0
         self._idle += 1
         if cost[order[0]] < self.best_cost:
-            self.best, self.best_cost, self._idle = self._candidate[order[0]].copy(), float(cost[order[0]]), 0
+            self.best, self.best_cost, self._idle = (
+                self._candidate[order[0]].copy(),
+                float(cost[order[0]]),
+                0,
+            )
         steps = (self._candidate[order] - self._mean) / self._sigma
         step = self._weights @ steps
         self._mean = self._mean + self._sigma * step
@@ -396,10 +426,10 @@ class _Leader:
 
 
 def positive_cauchy(rng: np.random.Generator, middle: FloatArray) -> FloatArray:
-    """Return draws of Cauchy distributions of width 0.1 around ``middle`` > 0, those not above 0 drawn anew."""
+    """Return draws (K, P) above 0 around ``middle`` > 0: of a Cauchy distribution of width 0.1, the same for all K."""
     drawn = np.zeros(middle.shape)
-    wrong = np.ones(middle.shape, dtype=np.bool_)
+    wrong = np.full(middle.shape[1], True)
     while wrong.any():
-        drawn[wrong] = middle[wrong] + _WIDTH * np.tan(np.pi * (rng.random(int(wrong.sum())) - 0.5))
-        wrong = drawn <= 0.0
+        drawn[:, wrong] = middle[:, wrong] + _WIDTH * np.tan(np.pi * (rng.random(int(wrong.sum())) - 0.5))
+        wrong = drawn.min(axis=0) <= 0.0
     return drawn
