@@ -388,7 +388,7 @@ def uav(
     cluster: Cluster = None,
     as_json: AsJson = False,
 ) -> None:
-    """Search the UAV path objective as a black box, and with the planner's own first guesses."""
+    """Search the UAV path objective as a black box, and from a graph search of the objective itself."""
     from missionplanner.experiments import uav_search as experiment
 
     if instances is None:

@@ -1,4 +1,4 @@
-"""Paths for the UAV objective by dynamic programming: first guesses from a graph over the whole map, and refinement.
+"""Paths for the UAV objective by dynamic programming: a graph over the whole map, priced as the objective is; weaving.
 
 The objective is a sum over legs (length, threats, ground) and over corners (turns and changes of climb), so the
 cheapest path among given places is found exactly by dynamic programming, layer by layer of waypoints:
