@@ -1,8 +1,9 @@
 """The UAV path objective, searched blindly and from a graph search of itself; ``missionplanner experiment uav``.
 
 The graph search is made for this experiment: it prices legs by the objective's own formulas, all over the map. The
-planner's first guesses (:mod:`missionplanner.seeds`) are others. What it takes is told beside the evaluations, which do
-not include it: its legs, how many evaluations these would be, and its CPU time.
+planner's first guesses (:mod:`missionplanner.seeds`) are others; a search is begun with these, too. What the graph
+search takes is told beside the evaluations, which do not include it: its legs, how many evaluations these would be, and
+its CPU time.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from PIL import Image
 from missionplanner.errors import MissionError
 from missionplanner.experiments import campaign
 from missionplanner.experiments.document import gathered, provenance
+from missionplanner.experiments.scene_comparison import planning_modules
 from missionplanner.experiments.scene_figures import INK, MUTED, RULE, new_figure, save_png
 from missionplanner.experiments.uav_objective import Instance, load, make
 from missionplanner.experiments.uav_weaving import METHODS, ROUTES, first_guesses, search
@@ -233,7 +235,8 @@ def measure(
 
 
 _DEPENDS_ON = (
-    "missionplanner.search",
+    *planning_modules(),
+    "missionplanner.experiments.uav_scene",
     "missionplanner.experiments.uav_weaving",
     "missionplanner.experiments.uav_graph",
     "missionplanner.experiments.uav_objective",
@@ -313,7 +316,7 @@ def _thinned(curve: Sequence[tuple[int, float]]) -> list[tuple[int, float]]:
 # --- what is written -------------------------------------------------------------------------------------------------
 
 _GROUND = LinearSegmentedColormap.from_list("ground", ["#b9c4b1", "#e9e3d3", "#d9c7a8", "#b89c7c", "#f7f5f2"])
-_COLOURS = {"black": MUTED, "guessed": "#0072b2", "grey": "#d55e00"}
+_COLOURS = {"black": MUTED, "planned": "#009e73", "guessed": "#0072b2", "grey": "#d55e00"}
 _FIELDS = ("instance", "method", "evaluations", "seed", "price", "gap_percent", "free", "seconds")
 
 
@@ -336,8 +339,9 @@ def table(results: Results) -> str:
         "# The UAV path objective, with and without a graph search of the objective itself",
         "",
         f"Gap: excess over the best known value in %, over {results.seeds} seeds: median / worst, and the share of "
-        "paths without penalty. *Black box*: PSO-ABC-SA. *Guessed*: the same, begun with the paths of a graph search "
-        "of the objective itself, made for this experiment (the planner's own first guesses are others). *Grey box*: "
+        "paths without penalty. *Black box*: PSO-ABC-SA. *Planner's guesses*: the same, begun with the planner's "
+        "own first guesses, which do not know the objective. *Guessed*: the same, begun with the paths of a graph "
+        "search of the objective itself, made for this experiment. *Grey box*: "
         "the graph's paths, woven by dynamic programming; there is no PSO-ABC-SA in it. The graph search is not among "
         "the evaluations of guessed and grey box: it prices legs worth the evaluations that are told beside them.",
         "",
@@ -423,8 +427,10 @@ def _draw_gaps(path: Path, results: Results) -> None:
     for i, b in enumerate(results.budgets):
         for j, (method, colour) in enumerate(_COLOURS.items()):
             gaps = np.maximum(results.gaps(b, method), floor)
-            x = i + 0.27 * (j - 1) + rng.uniform(-0.09, 0.09, len(gaps))
-            dots.plot([i + 0.27 * (j - 1) - 0.11, i + 0.27 * (j - 1) + 0.11], [np.median(gaps)] * 2, color=INK, lw=1.5)
+            x = i + 0.2 * (j - 1.5) + rng.uniform(-0.06, 0.06, len(gaps))
+            dots.plot(
+                [i + 0.2 * (j - 1.5) - 0.08, i + 0.2 * (j - 1.5) + 0.08], [np.median(gaps)] * 2, color=INK, lw=1.5
+            )
             dots.plot(x, gaps, "o", color=colour, markersize=2.5, alpha=0.45 if len(gaps) > 3 else 1.0,
                       markeredgewidth=0.0, zorder=3)  # fmt: skip
     dots.set_xticks(range(len(results.budgets)), [f"{b:,}" for b in results.budgets])
@@ -459,7 +465,7 @@ def _draw_paths(path: Path, instances: Path, results: Results) -> None:
             panel.plot(x, y, "-o", color=colour, linewidth=1.5, markersize=2.5)
         panel.set_title(name, fontsize=9, color=INK)
     handles = [Line2D([], [], color=colour, label=METHODS[method]) for method, colour in _COLOURS.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False, fontsize=8)
+    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False, fontsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     small = io.BytesIO()

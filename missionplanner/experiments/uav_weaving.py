@@ -1,15 +1,17 @@
 """Searches of the UAV path objective: as a black box, and from a graph search of the objective itself.
 
-Three ways to spend the same number of evaluations:
+Four ways to spend the same number of evaluations:
 
 * *black box*: PSO-ABC-SA over the box of vectors, knowing nothing;
+* *planner's guesses*: the same, begun with the planner's own first guesses (:mod:`missionplanner.seeds`), which know
+  the ground, the cylinders and the band of heights, but not the objective;
 * *guessed*: the same, begun with the paths of a graph search over the map (:func:`.uav_graph.lattice_routes`);
 * *grey box*: these paths improved by weaving, without any swarm. Places are drawn around all waypoints at once, and the
   cheapest of all paths through them is found by dynamic programming (:func:`.uav_graph.woven`). Places close in while
   nothing is better; a path that nothing near improves is kicked, a few waypoints off, and woven anew.
 
 What counts: every call of the objective, and in weaving every n + 1 legs priced, rounded up, since a path has so many.
-What the graph search takes is not counted.
+What the graph search and the planner's guesses take is not counted.
 """
 
 from __future__ import annotations
@@ -19,12 +21,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from missionplanner import seeds
+from missionplanner.errors import InfeasibleError
 from missionplanner.experiments.uav_graph import Routes, decoded, encoded, lattice_routes, woven
-from missionplanner.experiments.uav_objective import HIGH_M, LOW_M, Instance
+from missionplanner.experiments.uav_objective import HIGH_M, LOW_M, OUTER_M, Instance
+from missionplanner.experiments.uav_scene import uav_scene
 from missionplanner.geodesy import FloatArray
+from missionplanner.path import evenly
 from missionplanner.search.run import minimise
 
-METHODS = {"black": "black box", "guessed": "guessed", "grey": "grey box"}
+METHODS = {"black": "black box", "planned": "planner's guesses", "guessed": "guessed", "grey": "grey box"}
 
 ROUTES = 10
 _PLACES = 5  # per waypoint, the present one among them
@@ -63,6 +69,8 @@ def search(instance: Instance, *, method: str, evaluations: int, seed: int, rout
     """
     if method == "black":
         return _swarmed(instance, evaluations, seed, None)
+    if method == "planned":
+        return _swarmed(instance, evaluations, seed, planned_guesses(instance))
     guesses = (routes or first_guesses(instance, seed)).paths
     if method == "guessed" or evaluations == 1:  # of which nothing is left for weaving
         return _swarmed(instance, evaluations, seed, encoded(instance, guesses))
@@ -76,6 +84,23 @@ def search(instance: Instance, *, method: str, evaluations: int, seed: int, rout
 def first_guesses(instance: Instance, seed: int) -> Routes:
     """Return the paths with which a seed's searches begin."""
     return lattice_routes(instance, routes=ROUTES, rng=np.random.default_rng(seed))
+
+
+def planned_guesses(instance: Instance) -> FloatArray | None:
+    """Return the points (G, D) nearest to the planner's own first guesses; none where it finds no way."""
+    m = instance.arrays
+    scene = uav_scene(m.height_m, m.threat, m.start, m.end, threat_margin_m=OUTER_M, height_min_m=LOW_M,
+                      height_max_m=HIGH_M)  # fmt: skip
+    try:
+        ways = seeds.first_guesses(scene.space, scene.limits, scene.start_m, scene.goal_m, count=ROUTES)
+    except InfeasibleError:  # an end nearer to a cylinder than the margin, as the objective allows
+        return None
+    paths = np.stack([evenly(way, instance.dimensions // 3 + 2) for way in ways])
+    rows, columns = m.height_m.shape
+    row = np.clip(np.rint(paths[..., 1]).astype(int), 1, rows) - 1
+    column = np.clip(np.rint(paths[..., 0]).astype(int), 1, columns) - 1
+    paths[..., 2] = np.clip(paths[..., 2] - m.height_m[row, column], LOW_M, HIGH_M)
+    return encoded(instance, paths)
 
 
 def _swarmed(instance: Instance, evaluations: int, seed: int, initial: FloatArray | None) -> Found:

@@ -301,6 +301,19 @@ def test_a_file_of_best_values_hides_none_that_is_better(tmp_path: Path, monkeyp
         assert found.best["one"] == counts
 
 
+def test_the_planners_guesses_are_in_the_box_and_go_around(tmp_path: Path) -> None:
+    """Past a wall of cylinders, within the box; where an end is too near to a cylinder there are none."""
+    wall = [[130.0 + 3.0 * k, 130.0 - 3.0 * k, 0.0, 12.0] for k in (-10, -5, 0, 5, 10)]
+    instance = barred(np.zeros((SIZE, SIZE)), wall)
+    found = uav_weaving.planned_guesses(instance)
+    assert found is not None
+    assert ((found >= instance.lower) & (found <= instance.upper)).all()
+    paths = instance.waypoints_m(found)
+    away = np.linalg.norm(paths[:, :, None, :2] - np.array(wall)[:, :2], axis=-1).min(axis=(1, 2))
+    assert (away > 12.0).all()
+    assert uav_weaving.planned_guesses(barred(np.zeros((SIZE, SIZE)), [[30.0, 20.0, 0.0, 6.0]])) is None
+
+
 def test_an_instance_is_known_by_its_content() -> None:
     assert uav_search.digest(made(0)) == uav_search.digest(made(0))
     assert uav_search.digest(made(0)) != uav_search.digest(made(1))
