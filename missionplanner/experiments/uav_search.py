@@ -431,8 +431,8 @@ def _draw_gaps(path: Path, results: Results) -> None:
             dots.plot(
                 [i + 0.2 * (j - 1.5) - 0.08, i + 0.2 * (j - 1.5) + 0.08], [np.median(gaps)] * 2, color=INK, lw=1.5
             )
-            dots.plot(x, gaps, "o", color=colour, markersize=2.5 if len(gaps) > 3 else 5.0, alpha=0.45 if len(gaps) > 3 else 1.0,
-                      markeredgewidth=0.0, zorder=3)  # fmt: skip
+            dots.plot(x, gaps, "o", color=colour, markersize=2.5 if len(gaps) > 3 else 5.0,
+                      alpha=0.45 if len(gaps) > 3 else 1.0, markeredgewidth=0.0, zorder=3)  # fmt: skip
     dots.set_xticks(range(len(results.budgets)), [f"{b:,}" for b in results.budgets])
     dots.set_xlabel("evaluations")
     dots.set_title("every run, and the median", fontsize=9, color=INK)
