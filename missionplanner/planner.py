@@ -60,6 +60,8 @@ _PROOFS = 4
 _MENDS = 8
 _ROOM_M = 1.0
 """How much further off a vehicle is planned again that was not proven, beyond what it lacked."""
+_GENTLER, _GENTLEST_RAD = 0.7, math.radians(2.0)
+"""How steeply a plane that was not proven climbs then, of how it did: a weak one lags behind a climb that is steep."""
 _ROUTE_ROOM_M = 5.0
 """What the way around another's flight leaves of room at the route's own points, beyond the margin."""
 
@@ -156,6 +158,7 @@ class _Team:
         self._budget = budget
         self._generators = np.random.default_rng(seed if start == 0 else [seed, start]).spawn(len(scene.tasks))
         self._wider_m = [0.0] * len(scene.tasks)
+        self._climb_rad = [task.limits.climb_angle_rad for task in scene.tasks]
         self._mends = _MENDS
         self._overhead = _overhead(scene)
         self._avoided: list[list[Solid]] = [[] for _ in scene.tasks]
@@ -176,6 +179,7 @@ class _Team:
         # the first plan's time is shared by those who have no path yet
         waiting = max(1, len(self._scene.tasks) - len(self._paths))
         budget = self._budget.part(_SEARCH_SHARE / waiting)
+        task = replace(task, limits=replace(task.limits, climb_angle_rad=self._climb_rad[index]))
         rng, wider_m = self._generators[index], self._wider_m[index]
         found = _path(self._scene, [*self._overhead, *avoided], task, fellows, rng, self._watch, wider_m, budget)
         if self._searched is not None:
@@ -419,6 +423,10 @@ class _Team:
     def _roomier(self, index: int, short_m: float) -> bool:
         """Plan one vehicle again, further off everything by what it lacks and a little more."""
         self._wider_m[index] += _ROOM_M + short_m
+        if self._scene.tasks[index].motion.vehicle_class == "plane":
+            legs = np.diff(self._paths[index].waypoints_m, axis=0)
+            steepest_rad = float(np.arctan2(legs[:, 2], np.hypot(legs[:, 0], legs[:, 1])).max())
+            self._climb_rad[index] = min(self._climb_rad[index], max(_GENTLER * steepest_rad, _GENTLEST_RAD))
         try:
             self._replace(index, self._path(index, self._avoided[index], self._fellows(index)))
         except InfeasibleError:

@@ -208,7 +208,7 @@ def test_a_vehicle_tuned_to_leave_its_legs_is_not_proven() -> None:
 
     assert planned_with() == []
     [told] = planned_with(WPNAV_ACCEL=150.0)
-    assert told.startswith("is predicted at most 0.")
+    assert 0.0 < float(told.removeprefix("is predicted at most ").split()[0]) < 2.0
     with pytest.raises(
         InfeasibleError, match=r"off its legs with its speed and parameters, allowed 2 m: fly slower, or"
     ):

@@ -660,9 +660,9 @@ def scene_and_plan(name: str, **changes: object) -> tuple[Scene, FleetPlan]:
     return scene, plan_fleet(scene)
 
 
-def wall(x_m: float) -> list[dict[str, object]]:
-    """Return what stands just beyond the first one's corner at 800 m."""
-    place = {"center": at(x_m, 0), "radius_m": 3.0, "top_height_agl_m": 64.0}
+def wall(x_m: float, y_m: float = 0.0) -> list[dict[str, object]]:
+    """Return what stands beyond the first one's corner at 800 m."""
+    place = {"center": at(x_m, y_m), "radius_m": 3.0, "top_height_agl_m": 64.0}
     return [{"name": "wall", "kind": "cylinder", **place}]
 
 
@@ -674,7 +674,8 @@ def sooner(which: Course) -> list[float]:
 def test_nobody_is_hurried_beyond_the_speed_at_which_its_way_home_is_proven() -> None:
     free = pacer(*scene_and_plan("copters"), correct=True).courses[0]
     assert sooner(free)[-1] == free.factors[1] > 1.5
-    scene, plan = scene_and_plan("copters", obstacles=wall(825.0))
+    _, plan = scene_and_plan("copters", obstacles=wall(900.0))
+    scene, _ = scene_and_plan("copters", obstacles=wall(826.0, -2.0))  # a plan made for it would turn wider
     watched = pacer(scene, plan, correct=True)
     course_ = watched.courses[0]
     greatest = max([1.0, *sooner(course_)])
