@@ -9,7 +9,8 @@ compared.
 
 The kernel takes many paths at once, and looks at what may matter only: the ground by the highest cell of squares
 around a leg, angles by comparing products until they exceed what is free. It agrees with the definition to rounding,
-also where that steps: what lies on a step is computed as the definition rounds.
+also where that steps: what lies on a step is computed as the definition rounds
+(an angle that is 45 degrees to the last bit may be free here and not there).
 """
 
 from __future__ import annotations
