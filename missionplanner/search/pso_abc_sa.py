@@ -20,10 +20,11 @@ or as a block of neighbours (coordinates next to each other often belong togethe
 successful of the two is used more. Bees stop at the walls: many an optimum lies there. A better source replaces the
 old one.
 
-*The leader* takes off from the best source and flies by CMA-ES (Hansen 2016, arXiv:1604.00772): its velocity is the
-evolution path, its coordinate system that of the better half of the bees at first, then its own. Bees and leader share
-the evaluations by what each has gained lately for each that it was given; without gain the leader's share falls. A
-point of the leader's that is better than all replaces the worst bee's source.
+*The leader* takes off from the best source after a quarter of the evaluations, or later if that leaves more than it
+needs: bees explore better alone. It flies by CMA-ES (Hansen 2016, arXiv:1604.00772): its velocity is the evolution
+path, its coordinate system that of the better half of the bees at first, then its own. Bees and leader share the
+evaluations by what each has gained lately for each that it was given; without gain the leader's share falls. A point of
+the leader's that is better than all replaces the worst bee's source.
 
 *Scouts, annealed.* A leader that has been behind the bees for ``patience`` generations is judged by the Metropolis rule
 (32, 33): it flies on with probability ``exp(-rise / (T * spread))``, where T falls from 1 to 0 over the budget and
@@ -50,6 +51,7 @@ _ARCHIVE = 1.5  # sources given up that are remembered, per bee
 _BLOCKS_LEAST = 0.1
 _TURN = 0.1  # how fast the share of blocks follows their success
 _HALF_LIFE = 30.0  # evaluations per dimension after which a gain counts half
+_FLIGHT = 7500.0  # evaluations that a leader shares with the bees, in up to 30 dimensions
 _BEES_LEAST = 8  # in a group, or there is one group less
 _LEADER_WIDTH = 0.5  # first step over the bees' standard deviation
 _LEADER_FIRST = 0.1  # of the box: where the bees have none
@@ -72,7 +74,7 @@ class PsoAbcSaSettings:
     """
 
     groups: bool = True
-    apart: float = 0.4
+    apart: float = 0.25
     memory: bool = True
     archive: bool = True
     blocks: bool = True
@@ -101,9 +103,9 @@ def population_for(dimensions: int, evaluations: int) -> int:
     return groups * int(max(min(bees, evaluations / (12.0 * groups)), _BEES_LEAST))
 
 
-def take_off_for(evaluations: int) -> float:
-    """Return the share of the budget until the leader takes off: the more evaluations, the longer bees are alone."""
-    return min(0.25 + 0.5 * max(math.log10(evaluations / 10_000.0), 0.0), 0.8)
+def take_off_for(dimensions: int, evaluations: int) -> float:
+    """Return the share of the budget until the leader takes off: it needs only so many evaluations for its flight."""
+    return max(0.25, 1.0 - _FLIGHT * max(1.0, dimensions / 30.0) / evaluations)
 
 
 class PsoAbcSa:
@@ -118,12 +120,12 @@ class PsoAbcSa:
         self._flies = False
         self._best_cost = np.inf
         self._used = 0
-        self._take_off = evaluations * take_off_for(evaluations)
+        self._take_off = evaluations * take_off_for(initial.shape[1], evaluations)
         self._behind = 0
         self._spent, self._gained = np.ones(2), np.zeros(2)  # by the bees and by the leader, lately
         self._leader_share = 0.5
         self._half_life = _HALF_LIFE * initial.shape[1]
-        self._patience = 5 + initial.shape[1] // 6
+        self._patience = 10 + initial.shape[1]
 
     def ask(self) -> FloatArray:
         """Return the bees' next points (P', D), or the leader's."""
