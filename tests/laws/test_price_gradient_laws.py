@@ -53,6 +53,14 @@ def off_kinks(points, seed):
     return np.array(points, dtype=float) + np.random.default_rng(seed).normal(0.0, 0.2, np.shape(points))
 
 
+def turns_back(path):
+    """Whether a path turns by nearly half a turn, or has a leg of nearly no level length: there the turn has a kink."""
+    level = np.diff(path[:, :2], axis=0)
+    length = np.linalg.norm(level, axis=1)
+    along = (level[:-1] * level[1:]).sum(axis=1)
+    return length.min() < 0.1 or bool((along < -0.9 * length[:-1] * length[1:]).any())
+
+
 def price_of(solids, fence, hilly, seed):
     rng = np.random.default_rng(seed)
     outline = np.empty((0, 2)) if fence is None else fence
@@ -75,6 +83,7 @@ def test_the_price_is_the_kernels_and_its_slope_that_of_central_differences(soli
     price = price_of(solids, fence, hilly, seed)
     rng = np.random.default_rng(seed)
     path = off_kinks(path, seed)
+    assume(not turns_back(path))
     total, _ = price.slopes(path[np.newaxis])
     np.testing.assert_allclose(total, price.total(path[np.newaxis]), rtol=1e-12)
     moves = rng.normal(size=(8, *path.shape))

@@ -208,10 +208,12 @@ def test_a_kill_and_what_comes_after(tmp_path: Path, how: signal.Signals) -> Non
     started, folder = tmp_path / "started", tmp_path / "out"
     started.mkdir()
     script = (
+        "import signal\n"
         "from pathlib import Path\n"
         "from tests.unit.test_campaign import slow\n"
         "from missionplanner.experiments.campaign import Job, run\n"
         "if __name__ == '__main__':\n"
+        "    signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs ignore it
         f"    jobs = [Job(str(x), slow, dict(x=x, started={str(started)!r})) for x in range(40)]\n"
         f"    run(jobs, Path({str(folder)!r}), experiment='slow', version='1', workers=2)\n"
     )
