@@ -1,0 +1,243 @@
+"""One vehicle of a fleet plan on its link: what is heard of it, how its flight goes, how it is told to switch modes."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.flight_recorder import FlightRecorder, status_text
+from adapters.ground_station import Peer
+from adapters.mission_items import TAKEOFF, WAYPOINT, MissionItem, goal_seq, plan_items
+from adapters.mission_protocol import Party
+from missionplanner.errors import LinkError
+from missionplanner.geodesy import FloatArray
+from missionplanner.pacing import Pace, Sighting
+from missionplanner.plan import FleetPlan, FlownVehicle, VehiclePlan
+from missionplanner.vehicle import Autopilot, VehicleClass
+
+Message = Any  # a pymavlink message: its classes are generated, and carry no types
+Order = Literal["auto", "hold", "land", "rtl"]
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleStatus:
+    """One vehicle while the fleet is being watched."""
+
+    name: str
+    sysid: int
+    t_s: float | None  # since the common start, of the last position
+    item: int | None  # flown to at present
+    items: int
+    position_m: FloatArray | None  # (3,)
+    armed: bool
+    arrived: bool
+    landed: bool
+    silent_s: float  # since anything was heard
+    text: str  # what the vehicle said last
+    pace: Pace | None = None  # how it is doing against the plan, where that is watched
+
+
+_TEXT_FOR_S = 30.0  # a vehicle repeats what keeps it from arming
+_LOST_S = 60.0
+_RETURNED_M = 90.0  # beyond its circle, within which a plane has come home
+
+_PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
+_POSITION_SENSORS = (
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
+    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
+    | mavlink.MAV_SYS_STATUS_SENSOR_GPS
+)
+# HEARTBEAT.custom_mode by what we want; "hold" is also the mode to be armed in, in which a copter stays on the ground.
+# ArduPlane has no mode that lands where it is: it returns. PX4 packs main and sub mode.
+MODES: dict[tuple[Autopilot, VehicleClass], dict[Order, int]] = {
+    ("ardupilot", "copter"): {"hold": 4, "auto": 3, "land": 9, "rtl": 6},
+    ("ardupilot", "plane"): {"hold": 12, "auto": 10, "land": 11, "rtl": 11},
+    **{
+        ("px4", kind): {
+            "hold": 4 << 16 | 3 << 24,
+            "auto": 4 << 16 | 4 << 24,
+            "land": 4 << 16 | 6 << 24,
+            "rtl": 4 << 16 | 5 << 24,
+        }
+        for kind in ("copter", "plane")
+    },
+}
+# ArduPlane is armed in FBWA, which waits for the sticks: good on the ground, never to be ordered in the air
+ARMING_MODES: dict[tuple[Autopilot, VehicleClass], int] = {("ardupilot", "plane"): 5}
+
+
+class FleetVehicle(Peer):
+    """What is known of one vehicle, and what goes on with it."""
+
+    def __init__(self, plan: VehiclePlan, fleet: FleetPlan) -> None:
+        super().__init__(Party(plan.name, plan.sysid))
+        self.plan = plan
+        self.items = plan_items(plan, fleet.frame)
+        self.modes = MODES[plan.autopilot, plan.vehicle_class]
+        self.recorder = FlightRecorder(
+            goal_seq(self.items), plan.waypoints_m[-1], plan.motion.waypoint_radius_m + 1.0, fleet.frame
+        )
+        self._due_after_s = fleet.mission.fleet.arrives_after_s(plan.name)
+        self.asked_to_arm = False
+        self.started = False  # seen to fly its mission
+        self.held: tuple[MissionItem, ...] | None = None
+        self.current_item: int | None = None
+        self._status: Message | None = None
+        self._ekf_flags: int | None = None
+        self._text = ""
+        self._text_s = -math.inf
+        self._heard_s = -math.inf
+        self._item_s = self._position_s = -math.inf
+        self._velocity_m_s = np.zeros(3)
+        self._paused = False
+        self._flown_to = [item.seq for item in self.items if item.command in (TAKEOFF, WAYPOINT)]
+        if plan.autopilot == "ardupilot":
+            del self._flown_to[0]  # home
+
+    @property
+    def custom_mode(self) -> int | None:
+        """Its mode, as its last heartbeat numbers it."""
+        return None if self.heartbeat is None else int(self.heartbeat.custom_mode)
+
+    @property
+    def ended(self) -> bool:
+        """Whether it has done all that its plan asks."""
+        if self.recorder.landed or not self.recorder.reached_goal:
+            return self.recorder.landed
+        if self.plan.end == "loiter":
+            return True
+        # a plane that has returned circles above home until somebody lands it
+        position_m = self.recorder.position_m
+        return (
+            self.plan.vehicle_class == "plane"
+            and self.plan.end == "rtl"
+            and position_m is not None
+            and float(np.hypot(*(position_m - self.plan.home_m)[:2])) <= self.plan.motion.loiter_radius_m + _RETURNED_M
+        )
+
+    def in_mode(self, order: Order) -> bool:
+        """Return whether it is in the mode that an order switches to."""
+        return self.custom_mode == self.modes[order]
+
+    def receive(self, message: Message, now_s: float) -> list[Message]:
+        """Take one message of this vehicle and return what to answer."""
+        self._heard_s = now_s
+        match message.get_type():
+            case "SYS_STATUS":
+                self._status = message
+            case "EKF_STATUS_REPORT":
+                self._ekf_flags = message.flags
+            case "MISSION_CURRENT":
+                self.current_item = message.seq
+                self._item_s = now_s
+                self._paused = message.mission_state == mavlink.MISSION_STATE_PAUSED
+            case "GLOBAL_POSITION_INT":
+                self._position_s = now_s
+                self._velocity_m_s = np.array([message.vy, message.vx, -message.vz]) / 100.0  # north, east, down
+            case "STATUSTEXT":
+                self._text, self._text_s = status_text(message), now_s
+        self.recorder.receive(message, now_s)
+        return super().receive(message, now_s)
+
+    def check_identity(self) -> None:
+        """Refuse a vehicle of another kind than planned."""
+        autopilot, vehicle_class = self.autopilot, self.vehicle_class
+        if (autopilot, vehicle_class) != (self.plan.autopilot, self.plan.vehicle_class):
+            raise self.error(
+                f"expected {self.plan.autopilot} {self.plan.vehicle_class}, got {autopilot} {vehicle_class}: "
+                "the wrong vehicle, or correct the mission file and plan again; nothing was uploaded"
+            )
+
+    def not_ready(self, now_s: float) -> str | None:
+        """Return what is missing until it can be armed, None if nothing."""
+        status = self._status
+        if status is None:
+            return "no SYS_STATUS"
+        present, health = status.onboard_control_sensors_present, status.onboard_control_sensors_health
+        if self.recorder.position_m is None or not np.isfinite(self.recorder.position_m).all():
+            return "no position"
+        if present & _POSITION_SENSORS & ~health:
+            return f"gyroscope, accelerometer, compass or GPS not healthy{self.said(now_s)}"
+        wanted = mavlink.ESTIMATOR_ATTITUDE | mavlink.ESTIMATOR_VELOCITY_HORIZ | mavlink.ESTIMATOR_POS_HORIZ_ABS
+        if self._ekf_flags is not None and ~self._ekf_flags & wanted:
+            return f"its estimate of position is not healthy{self.said(now_s)}"
+        if present & _PREARM and not health & _PREARM:
+            return f"pre-arm checks fail{self.said(now_s)}"
+        return None
+
+    def said(self, now_s: float) -> str:
+        """Return the vehicle's own last words in brackets, if they are fresh."""
+        return f' ("{self._text}")' if self._text and now_s - self._text_s <= _TEXT_FOR_S else ""
+
+    def lost(self, now_s: float) -> bool:
+        """Return whether nothing more is to be expected of it."""
+        return now_s - self._heard_s > _LOST_S or self.recorder.rebooted
+
+    def failure(self, now_s: float) -> LinkError:
+        """Return what to say of a vehicle that has not ended its mission."""
+        where = f"at item {self.recorder.item}" if self.recorder.item is not None else "before its first item"
+        if self.recorder.rebooted:
+            return self.error(f"its autopilot restarted in flight, {where}")
+        if self.lost(now_s):
+            return self.error(
+                f"not heard for {now_s - self._heard_s:.0f} s, {where}; it flies on by itself: "
+                "watch for it at its goal or home"
+            )
+        return self.error(f"still flying long after its planned end, {where}: take over, or watch again")
+
+    def sighting(self, now_s: float) -> Sighting | None:
+        """Return where it is on its mission; None before that is known."""
+        t_s, position_m, item = self.recorder.t_s, self.recorder.position_m, self.recorder.item
+        if t_s is None or position_m is None or item is None:
+            return None
+        waypoint = len(self._flown_to) if self.recorder.reached_goal else bisect_left(self._flown_to, item)
+        return Sighting(
+            t_s=t_s,
+            position_m=position_m,
+            velocity_m_s=self._velocity_m_s,
+            waypoint=waypoint,
+            in_mission=self.armed and self.in_mode("auto"),
+            paused=self._paused,
+            age_s=now_s - min(self._item_s, self._position_s),
+            arrival_s=self.recorder.arrival_s if self.recorder.reached_goal else None,
+        )
+
+    def status(self, now_s: float, pace: Pace | None = None) -> VehicleStatus:
+        """Return how it is, for whoever watches."""
+        return VehicleStatus(
+            name=self.plan.name,
+            sysid=self.plan.sysid,
+            t_s=self.recorder.t_s,
+            item=self.recorder.item,
+            items=len(self.items),
+            position_m=self.recorder.position_m,
+            armed=self.armed,
+            arrived=self.recorder.reached_goal,
+            landed=self.recorder.landed,
+            silent_s=now_s - self._heard_s,
+            text=self._text,
+            pace=pace,
+        )
+
+    def reached_s(self, waypoint: int) -> float | None:
+        """Return when a waypoint of its plan was reached, since the common start."""
+        place_m, reach_m = self.plan.waypoints_m[waypoint], self.plan.motion.waypoint_radius_m + 1.0
+        return self.recorder.reached_s(self._flown_to[waypoint], place_m, reach_m)
+
+    def flown(self) -> FlownVehicle:
+        """Return its flight as recorded."""
+        recorder = self.recorder
+        return FlownVehicle(
+            self.plan.name,
+            self.plan.sysid,
+            recorder.trajectory(),
+            recorder.arrival_s,
+            recorder.landed_s,
+            self._due_after_s,
+        )
