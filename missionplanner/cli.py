@@ -201,9 +201,20 @@ def sim(
     ] = None,
     speedup: Annotated[float, typer.Option(help="times real time")] = 1.0,
     seed: Annotated[int, typer.Option(min=0)] = 1,
+    loss: Annotated[float, typer.Option(min=0.0, max=1.0, help="share of frames lost, each way")] = 0.0,
+    duplicate: Annotated[float, typer.Option(min=0.0, max=1.0, help="share of frames doubled")] = 0.0,
+    reorder: Annotated[float, typer.Option(min=0.0, max=1.0, help="share of frames overtaken")] = 0.0,
+    corrupt: Annotated[float, typer.Option(min=0.0, max=1.0, help="share of frames damaged")] = 0.0,
+    delay_ms: Annotated[float, typer.Option(min=0.0, help="of every frame, in simulated time")] = 0.0,
+    jitter_ms: Annotated[float, typer.Option(min=0.0, help="at most so much more delay, by chance")] = 0.0,
+    baud: Annotated[int | None, typer.Option(min=1, help="rate of the radio, e.g. 57600; default: no limit")] = None,
+    down: Annotated[
+        list[str] | None, typer.Option(metavar="FROM_S,FOR_S", help="the link is down, in simulated time")
+    ] = None,
 ) -> None:
     """Serve simulated vehicles to any ground station until interrupted."""
     from missionplanner.geodesy import GeoPoint
+    from sim.faults import Faults, bad_links
     from sim.fleet import SimFleet, connect_fleet, listen_fleet, serve, sim_vehicles
 
     if (connect is None) == (listen is None):
@@ -213,12 +224,27 @@ def sim(
     fleet = SimFleet(
         sim_vehicles(vehicles, place, autopilot=autopilot, vehicle_class=vehicle_class, spacing_m=spacing_m), seed=seed
     )
+    faults = Faults(
+        loss, duplicate, reorder, corrupt, delay_ms / 1e3, jitter_ms / 1e3, baud, tuple(map(_down, down or []))
+    )
+    through = bad_links(faults, lambda: fleet.now_s, seed) if faults != Faults() else lambda endpoint: endpoint
     try:
-        connect_fleet(fleet, connect) if connect is not None else listen_fleet(fleet, str(listen))
+        connect_fleet(fleet, connect, through) if connect is not None else listen_fleet(fleet, str(listen), through)
         print(f"serving {vehicles} {autopilot} {vehicle_class}(s) on {connect or listen}; Ctrl-C ends", file=sys.stderr)
         serve(fleet, speedup)
     finally:
         fleet.close()
+
+
+def _down(text: str) -> tuple[float, float]:
+    """Return from when until when a link is down."""
+    try:
+        from_s, for_s = (float(part) for part in text.split(","))
+    except ValueError:
+        raise MissionError(f"--down: expected FROM_S,FOR_S, e.g. 30,10, got {text!r}") from None
+    if not (0.0 <= from_s < math.inf and 0.0 <= for_s < math.inf):
+        raise MissionError(f"--down: expected seconds from 0, got {text!r}")
+    return from_s, from_s + for_s
 
 
 def _home(text: str) -> tuple[float, float, float]:

@@ -299,7 +299,9 @@ class LockstepClock:
             if fleet.answered:
                 self._until_s = fleet.now_s
                 return
-            fleet.step()  # nothing can arrive: whoever would send waits here
+            fleet.step()
+            if not fleet.answered:
+                fleet.poll()  # whoever would send waits here, but what a slow link carries may arrive
             if self._pace is not None:
                 time.sleep(self._pace.ahead_s(fleet.now_s))
 
@@ -390,7 +392,11 @@ def planned_vehicles(
     ]
 
 
-def connect_fleet(fleet: SimFleet, url: str) -> None:
+Through = Callable[[Endpoint], Endpoint]
+"""What an endpoint is put behind, as a bad link is."""
+
+
+def connect_fleet(fleet: SimFleet, url: str, through: Through = lambda endpoint: endpoint) -> None:
     """Let every vehicle send to one address (``--connect``), each from a port of its own, as SITLs do.
 
     Raises
@@ -402,13 +408,13 @@ def connect_fleet(fleet: SimFleet, url: str) -> None:
     if address.kind.endswith("in"):
         raise LinkError(f"{url}: expected an address to connect to, e.g. udpout:127.0.0.1:14540; use --listen to wait")
     if address.kind == "serial":
-        fleet.attach(open_endpoint(address))
+        fleet.attach(through(open_endpoint(address)))
         return
     for i in range(len(fleet.links)):
-        fleet.attach(open_endpoint(address), [i])
+        fleet.attach(through(open_endpoint(address)), [i])
 
 
-def listen_fleet(fleet: SimFleet, url: str) -> None:
+def listen_fleet(fleet: SimFleet, url: str, through: Through = lambda endpoint: endpoint) -> None:
     """Let vehicle i (from 1) listen on the address's port + 10 (i - 1) (``--listen``).
 
     Raises
@@ -418,4 +424,4 @@ def listen_fleet(fleet: SimFleet, url: str) -> None:
     """
     address = parse_url(url).listening()
     for i in range(len(fleet.links)):
-        fleet.attach(open_endpoint(address.with_port_offset(_LISTEN_PORT_STEP * i)), [i])
+        fleet.attach(through(open_endpoint(address.with_port_offset(_LISTEN_PORT_STEP * i))), [i])
