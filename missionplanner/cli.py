@@ -12,7 +12,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -27,6 +27,7 @@ from missionplanner.terminal import Told, print_json, progress_bars, stderr, std
 
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
     from adapters.certificates import Held
+    from adapters.endpoint import Endpoint
     from adapters.fleet_link import Clock, FleetLink, Order, VehicleStatus
     from missionplanner.certificate import Certificate
     from missionplanner.flight_check import FlightCheck
@@ -60,6 +61,14 @@ Unproven = Annotated[
     bool, typer.Option("--unproven", help="send missions although they are not proven; it is told and logged")
 ]
 ConnectUrls = Annotated[str, typer.Option("--connect", metavar="URL[,URL...]", help="links to the vehicles")]
+SigningKey = Annotated[
+    Path | None,
+    typer.Option(
+        "--signing-key",
+        metavar="FILE",
+        help="sign messages (MAVLink 2), and obey only signed ones: 32 bytes, or 64 hexadecimal digits",
+    ),
+]
 
 
 def main() -> None:
@@ -131,6 +140,7 @@ def check(
     ] = None,
     repair: Annotated[bool, typer.Option("--repair", help="move waypoints as little as a proof needs")] = False,
     output: Output = None,
+    signing_key: SigningKey = None,
     as_json: AsJson = False,
 ) -> None:
     """Prove a plan, mission files of any origin, or what vehicles hold; exit code 3 where anything is not proven."""
@@ -148,7 +158,7 @@ def check(
     elif connect is not None:
         if targets or repair:
             raise MissionError("--connect: expected neither files nor --repair; download the missions first")
-        certificate, paths = _check_vehicles(mission, connect, output)
+        certificate, paths = _check_vehicles(mission, connect, output, signing_key)
     elif targets:
         certificate, paths, moves = _check_files(mission, targets, output, repair=repair)
     else:
@@ -211,8 +221,10 @@ def sim(
     down: Annotated[
         list[str] | None, typer.Option(metavar="FROM_S,FOR_S", help="the link is down, in simulated time")
     ] = None,
+    signing_key: SigningKey = None,
 ) -> None:
     """Serve simulated vehicles to any ground station until interrupted."""
+    from adapters.signing import signing_from
     from missionplanner.geodesy import GeoPoint
     from sim.faults import Faults, bad_links
     from sim.fleet import SimFleet, connect_fleet, listen_fleet, serve, sim_vehicles
@@ -227,13 +239,20 @@ def sim(
     faults = Faults(
         loss, duplicate, reorder, corrupt, delay_ms / 1e3, jitter_ms / 1e3, baud, tuple(map(_down, down or []))
     )
-    through = bad_links(faults, lambda: fleet.now_s, seed) if faults != Faults() else lambda endpoint: endpoint
+    bad = bad_links(faults, lambda: fleet.now_s, seed) if faults != Faults() else lambda endpoint: endpoint
+    signing = None if signing_key is None else signing_from(signing_key, time.time, _warn)
+
+    def through(endpoint: Endpoint) -> Endpoint:
+        return bad(endpoint) if signing is None else signing.sealed(bad(endpoint))
+
     try:
         connect_fleet(fleet, connect, through) if connect is not None else listen_fleet(fleet, str(listen), through)
         print(f"serving {vehicles} {autopilot} {vehicle_class}(s) on {connect or listen}; Ctrl-C ends", file=sys.stderr)
         serve(fleet, speedup)
     finally:
         fleet.close()
+        if signing is not None:
+            signing.save()
 
 
 def _down(text: str) -> tuple[float, float]:
@@ -264,11 +283,12 @@ def upload(
     output: Output = None,
     seed: Seed = None,
     unproven: Unproven = False,
+    signing_key: SigningKey = None,
     as_json: AsJson = False,
 ) -> None:
     """Upload a plan that is proven, read it back, prove what the vehicles hold; nothing is armed."""
     scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
-    with _ground_station(scene, fleet_plan, folder, connect, None, unproven=unproven) as link:
+    with _ground_station(scene, fleet_plan, folder, connect, None, signing_key, unproven=unproven) as link:
         _transfer(link, scene, fleet_plan, unproven=unproven)
     if as_json:
         missions = [{"sysid": sysid, "items": len(items), "verified": True} for sysid, items in link.items.items()]
@@ -309,6 +329,7 @@ def fly(
     output: Output = None,
     seed: Seed = None,
     unproven: Unproven = False,
+    signing_key: SigningKey = None,
     as_json: AsJson = False,
 ) -> None:
     """Plan if need be, upload, prove what the vehicles hold, start together, fly, keep together, and report."""
@@ -322,13 +343,17 @@ def fly(
     for option, value in simulated_only.items():
         if connect is not None and value is not None:
             raise MissionError(f"{option}: expected only with built-in simulated vehicles, not with --connect")
+    if connect is None and signing_key is not None:
+        raise MissionError("--signing-key: expected with --connect; built-in simulated vehicles are not on any link")
     wind_m_s, late_s = _sim_wind(sim_wind), _sim_late(sim_late or [])
     scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
     vehicles = planned_vehicles(fleet_plan, wind_m_s=wind_m_s, late_s=late_s)
     correct = fleet_plan.mission.fleet.correction != "off" if correct is None else correct
     if connect is not None:
         _clock_start(fleet_plan, datetime.now(UTC))
-    with _ground_station(scene, fleet_plan, folder, connect, speedup, unproven=unproven, vehicles=vehicles) as link:
+    with _ground_station(
+        scene, fleet_plan, folder, connect, speedup, signing_key, unproven=unproven, vehicles=vehicles
+    ) as link:
         _transfer(link, scene, fleet_plan, unproven=unproven)
         try:
             keeps = pacer(scene, fleet_plan, correct=correct)
@@ -404,6 +429,7 @@ def _ground_station(
     folder: Path,
     connect: str | None,
     speedup: float | None,
+    signing_key: Path | None,
     *,
     unproven: bool,
     vehicles: Sequence[SimVehicle] = (),
@@ -420,7 +446,7 @@ def _ground_station(
     with ExitStack() as stack:
         clock: Clock
         if connect is not None:
-            endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in _urls(connect)]
+            endpoints = stack.enter_context(_links(connect, signing_key))
             clock = WallClock(endpoints)
         else:
             endpoints = [stack.enter_context(closing(open_endpoint("udpin:127.0.0.1:0")))]
@@ -438,6 +464,16 @@ def _ground_station(
         with stderr.status("looking for the vehicles"):
             link.connect()
         yield link
+
+
+def _links(connect: str, signing_key: Path | None) -> AbstractContextManager[list[Endpoint]]:
+    from adapters.signing import open_links
+
+    return open_links(_urls(connect), signing_key, time.time, _warn)
+
+
+def _warn(text: str) -> None:
+    print(f"missionplanner: {text}", file=sys.stderr)
 
 
 def _urls(connect: str) -> list[str]:
@@ -607,10 +643,10 @@ def parameters(
     everything: Annotated[bool, typer.Option("--all", help="all there are, not only those that decide its flight")] = (
         False
     ),
+    signing_key: SigningKey = None,
     as_json: AsJson = False,
 ) -> None:
     """Read the parameters that decide how vehicles fly; with --mission, exit code 3 where they differ from it."""
-    from adapters.endpoint import open_endpoint
     from adapters.fleet_link import WallClock
     from adapters.vehicle_parameters import check_parameters, read_parameters
     from missionplanner.parameter_files import expect_suffix, write_parameters
@@ -623,7 +659,7 @@ def parameters(
     if question is not None and expected is None:
         expected = [vehicle.sysid or index for index, vehicle in enumerate(question.vehicles, start=1)]
     with ExitStack() as stack:
-        endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in _urls(connect)]
+        endpoints = stack.enter_context(_links(connect, signing_key))
         progress = stack.enter_context(progress_bars())
         found = read_parameters(
             endpoints,
@@ -884,15 +920,15 @@ def _check_files(
     return certificate, _write_check(folder, scene, missions, certificate), moves
 
 
-def _check_vehicles(mission: Path, connect: str, output: Path | None) -> tuple[Certificate, dict[str, Path]]:
+def _check_vehicles(
+    mission: Path, connect: str, output: Path | None, signing_key: Path | None
+) -> tuple[Certificate, dict[str, Path]]:
     """Prove what vehicles hold."""
     from adapters.certificates import certify, read_vehicles
-    from adapters.endpoint import open_endpoint
     from adapters.fleet_link import WallClock, download_missions
 
     question = _mission(mission)
-    with ExitStack() as stack:
-        endpoints = [stack.enter_context(closing(open_endpoint(url))) for url in _urls(connect)]
+    with _links(connect, signing_key) as endpoints:
         sysids = [vehicle.sysid or index for index, vehicle in enumerate(question.vehicles, start=1)]
         with stderr.status("reading the vehicles' missions"):
             downloaded = download_missions(endpoints, WallClock(endpoints), expected=sysids)
