@@ -46,16 +46,18 @@ class TransferRules:
 
     home_is_item_0: bool  # seq 0 is home whatever is sent
     atomic: bool  # the old mission stays until the last item has come; else items replace the old ones one by one
-    int_requests: bool | None  # MISSION_REQUEST_INT always, never, or (None) once the peer has shown to know it
+    int_requests: bool | None  # MISSION_REQUEST_INT always, never, or (None) as the peer spoke last
     retry_s: float
     give_up_s: float
     give_up_ack: int | None
     out_of_sequence_ack: int | None  # None: dropped in silence
     second_uploader_ack: int
-    stray_item_ack: int | None
+    one_transfer: bool  # at a time, up or down; downloads are given in order
     repeats_last_ack: bool  # an item already stored as the last is acknowledged again
     partial_writes: bool
-    item_max: int
+    plan_ids: bool  # opaque_id: a CRC32 of each plan
+    item_max: tuple[int, int, int]  # of mission, fence and rally points
+    timeout_texts: tuple[str, str, str]  # likewise
     frames: frozenset[int]  # that an item with a position may have
     commands: frozenset[int]
 
@@ -77,6 +79,7 @@ class Personality:
     transfer: TransferRules
     check: Callable[[MissionItem], int]  # MAV_MISSION_RESULT of one item
     stored: Callable[[MissionItem], MissionItem]  # as it reads back
+    frame_read: Callable[[int], int]  # the frame that MISSION_ITEM_INT gives back for a stored one
     capabilities: int
     software_version: int
     integers_bytewise: bool  # PARAM_VALUE carries integers by their bytes (PX4), else converted to float
@@ -215,6 +218,17 @@ _PX4_COMMANDS = (NAV_COMMANDS - {mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT, mavlink.MA
     }
 )
 
+_PX4_POLYGONS = frozenset(
+    {mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION, mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION}
+)
+# PX4 takes these in the global frames only, and every other command in the mission frame only
+_PX4_PLACED = (
+    (NAV_COMMANDS - {mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH, mavlink.MAV_CMD_NAV_DELAY})
+    | {mavlink.MAV_CMD_DO_SET_ROI_LOCATION, mavlink.MAV_CMD_CONDITION_GATE}
+    | FENCE_AND_RALLY_COMMANDS[mavlink.MAV_MISSION_TYPE_FENCE]
+    | FENCE_AND_RALLY_COMMANDS[mavlink.MAV_MISSION_TYPE_RALLY]
+)
+
 _ALT_MAX_M = 83_000.0
 _YAW_MAY_BE_NAN = frozenset(
     {
@@ -238,8 +252,11 @@ def _check_ardupilot(item: MissionItem) -> int:
 
 
 def _check_px4(item: MissionItem) -> int:
-    if item.command == mavlink.MAV_CMD_DO_CHANGE_SPEED and item.frame != mavlink.MAV_FRAME_MISSION:
+    anywhere = item.command == mavlink.MAV_CMD_DO_SET_ROI
+    if not anywhere and (item.frame == mavlink.MAV_FRAME_MISSION) is (item.command in _PX4_PLACED):
         return int(mavlink.MAV_MISSION_UNSUPPORTED)
+    if item.command in _PX4_POLYGONS and item.param1 < 3.0:
+        return int(mavlink.MAV_MISSION_ERROR)
     for number, value in enumerate((item.param1, item.param2, item.param3, item.param4), start=1):
         if math.isinf(value) or (math.isnan(value) and item.command == mavlink.MAV_CMD_DO_JUMP):
             return int(mavlink.MAV_MISSION_INVALID_PARAM1) + number - 1
@@ -287,10 +304,38 @@ def _whole(value: float) -> float:
     return 0.0 if math.isnan(value) else float(min(max(int(value), 0), 65535))
 
 
+_INTEGER_FRAMES = {
+    int(mavlink.MAV_FRAME_GLOBAL): int(mavlink.MAV_FRAME_GLOBAL_INT),
+    int(mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT): int(mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT),
+}
+# what PX4 keeps of the params of an item with a place: MavlinkMissionManager::format_mavlink_mission_item; 4 is a yaw
+_PX4_KEPT: dict[int, tuple[int, ...]] = {
+    mavlink.MAV_CMD_NAV_WAYPOINT: (1, 2, 4),
+    mavlink.MAV_CMD_NAV_LOITER_UNLIM: (3, 4),
+    mavlink.MAV_CMD_NAV_LOITER_TIME: (1, 2, 3),
+    mavlink.MAV_CMD_NAV_LAND: (2, 4),
+    mavlink.MAV_CMD_NAV_TAKEOFF: (4,),
+    mavlink.MAV_CMD_NAV_LOITER_TO_ALT: (1, 2),
+    mavlink.MAV_CMD_NAV_VTOL_TAKEOFF: (4,),
+    mavlink.MAV_CMD_NAV_VTOL_LAND: (4,),
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: (1,),
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: (1,),
+    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: (1,),
+    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: (1,),
+}
+
+
 def _stored_by_px4(item: MissionItem) -> MissionItem:
-    """Return what PX4's mission_item_s keeps: the *_INT frames are their plain forms."""
-    frame = {5: 0, 6: 3}.get(item.frame, item.frame)
-    return replace(item, frame=frame)
+    """Return what PX4's mission_item_s keeps: *_INT frames are its plain ones, unused params 0, yaw is wrapped."""
+    if item.frame == mavlink.MAV_FRAME_MISSION:
+        return item
+    frame = {v: k for k, v in _INTEGER_FRAMES.items()}.get(item.frame, item.frame)
+    kept = _PX4_KEPT.get(item.command, ())
+    given = (item.param1, item.param2, item.param3, item.param4)
+    p1, p2, p3, p4 = (value if number in kept else 0.0 for number, value in enumerate(given, start=1))
+    if 4 in kept and math.isfinite(p4):
+        p4 %= 360.0
+    return replace(item, frame=frame, param1=p1, param2=p2, param3=p3, param4=p4)
 
 
 _ARDUPILOT_TRANSFER = TransferRules(
@@ -302,10 +347,12 @@ _ARDUPILOT_TRANSFER = TransferRules(
     give_up_ack=mavlink.MAV_MISSION_OPERATION_CANCELLED,
     out_of_sequence_ack=mavlink.MAV_MISSION_INVALID_SEQUENCE,
     second_uploader_ack=mavlink.MAV_MISSION_DENIED,
-    stray_item_ack=mavlink.MAV_MISSION_ERROR,
+    one_transfer=False,
     repeats_last_ack=False,
     partial_writes=True,
-    item_max=650,
+    plan_ids=False,
+    item_max=(650, 255, 255),
+    timeout_texts=("Mission upload timeout", "Fence upload timeout", "Rally upload timeout"),
     frames=frozenset({0, 2, 3, 5, 6, 10, 11}),
     commands=_ARDUPILOT_COMMANDS,
 )
@@ -318,10 +365,12 @@ _PX4_TRANSFER = TransferRules(
     give_up_ack=None,
     out_of_sequence_ack=None,
     second_uploader_ack=mavlink.MAV_MISSION_ERROR,
-    stray_item_ack=None,
+    one_transfer=True,
     repeats_last_ack=True,
     partial_writes=False,
-    item_max=2000,
+    plan_ids=True,
+    item_max=(2000, 64, 32),
+    timeout_texts=("Operation timeout",) * 3,
     frames=frozenset({0, 2, 3, 5, 6}),
     commands=_PX4_COMMANDS,
 )
@@ -435,6 +484,7 @@ _ARDUCOPTER = Personality(
     transfer=_ARDUPILOT_TRANSFER,
     check=_check_ardupilot,
     stored=_stored_by_ardupilot,
+    frame_read=lambda frame: frame,
     capabilities=_ARDUPILOT_CAPABILITIES,
     software_version=4 << 24 | 5 << 16 | 6 << 8 | _RELEASE,
     integers_bytewise=False,
@@ -493,6 +543,7 @@ _PX4_COPTER = Personality(
     transfer=_PX4_TRANSFER,
     check=_check_px4,
     stored=_stored_by_px4,
+    frame_read=lambda frame: _INTEGER_FRAMES.get(frame, frame),
     capabilities=_PX4_CAPABILITIES,
     software_version=1 << 24 | 15 << 16 | 0 << 8 | _RELEASE,
     integers_bytewise=True,

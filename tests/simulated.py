@@ -29,7 +29,9 @@ def mission(autopilot: Autopilot, ending: int = mavlink.MAV_CMD_NAV_LAND, speed_
         MissionItem(0, mavlink.MAV_FRAME_MISSION, mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, speed_m_s, -1.0),
         MissionItem(0, amsl, mavlink.MAV_CMD_NAV_WAYPOINT, x=LAT + 5_400, y=LON, z=604.0),
         MissionItem(0, amsl, mavlink.MAV_CMD_NAV_WAYPOINT, x=LAT + 5_400, y=LON + 6_500, z=604.0),
-        MissionItem(0, amsl, ending, x=LAT + 5_400, y=LON + 6_500, z=584.0),
+        MissionItem(0, amsl, ending, x=LAT + 5_400, y=LON + 6_500, z=584.0)
+        if ending != mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH
+        else MissionItem(0, mavlink.MAV_FRAME_MISSION, ending),
     ]
     return renumbered(items)
 

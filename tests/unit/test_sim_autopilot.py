@@ -13,7 +13,7 @@ from missionplanner.mission import VehicleSettings
 from missionplanner.vehicle import Autopilot, VehicleClass, motion_model
 from sim.autopilot import LandedState, MissionState
 from sim.personality import personality
-from tests.simulated import LAT, LON, Ground, mission, of_type, renumbered, texts
+from tests.simulated import LAT, LON, NAN, Ground, mission, of_type, renumbered, texts
 
 BOTH = pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 ACCEPTED, FAILED = mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_FAILED
@@ -314,13 +314,22 @@ def test_jump_repeats_as_often_as_told() -> None:
     assert ground.autopilot.mission_state is MissionState.COMPLETE
 
 
-@pytest.mark.parametrize("target", [0.0, 5.0, 99.0, -3.0])
-def test_jump_to_nowhere_is_passed_over_and_jumping_in_place_ends(target: float) -> None:
+@pytest.mark.parametrize(
+    ("autopilot", "target"), [("ardupilot", 5.0), ("px4", 4.0), ("px4", 0.5), ("px4", 99.0), ("px4", -3.0)]
+)
+def test_jump_to_nowhere_is_passed_over_and_jumping_in_place_ends(autopilot: Autopilot, target: float) -> None:
+    items = mission(autopilot)
+    jump = MissionItem(0, 2, mavlink.MAV_CMD_DO_JUMP, target, 2.0)
+    ground = flying(autopilot, renumbered([*items[:-1], jump, items[-1]]))
+    ground.run(120.0)
+    assert ground.autopilot.mission_state is MissionState.COMPLETE or not ground.autopilot.armed
+
+
+@pytest.mark.parametrize("target", [0.0, 99.0, -3.0, NAN])
+def test_ardupilot_refuses_a_jump_to_nowhere(target: float) -> None:
     items = mission("ardupilot")
     jump = MissionItem(0, 2, mavlink.MAV_CMD_DO_JUMP, target, -1.0)
-    ground = flying("ardupilot", renumbered([*items[:5], jump, items[5]]))
-    ground.run(60.0)
-    assert ground.autopilot.mission_state is MissionState.COMPLETE or not ground.autopilot.armed
+    assert Ground("ardupilot").upload(renumbered([*items[:5], jump, items[5]])) != mavlink.MAV_MISSION_ACCEPTED
 
 
 @BOTH

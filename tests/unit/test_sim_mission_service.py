@@ -70,13 +70,16 @@ def test_ardupilot_has_a_home_item_even_without_a_mission() -> None:
     ground = Ground("ardupilot")
     (item,) = ground.send(mavlink.MAVLink_mission_request_int_message(1, 1, 0))
     assert item.get_type() == "MISSION_ITEM_INT"
-    (ack,) = ground.send(mavlink.MAVLink_mission_request_int_message(1, 1, 1))
-    assert ack.type == mavlink.MAV_MISSION_INVALID_SEQUENCE
+    lesson = ground.send(mavlink.MAVLink_mission_request_int_message(1, 1, 1))
+    assert [m.get_type() for m in lesson] == ["MISSION_COUNT", "MISSION_ACK"]
+    assert (lesson[0].count, lesson[1].type) == (0, mavlink.MAV_MISSION_ERROR)
 
 
 def test_px4_has_no_home_item() -> None:
-    (ack,) = Ground("px4").send(mavlink.MAVLink_mission_request_int_message(1, 1, 0))
-    assert ack.type == mavlink.MAV_MISSION_INVALID_SEQUENCE
+    ground = Ground("px4")
+    assert [m.count for m in ground.send(mavlink.MAVLink_mission_request_list_message(1, 1))] == [0]
+    (ack,) = ground.send(mavlink.MAVLink_mission_request_int_message(1, 1, 0))
+    assert ack.type == mavlink.MAV_MISSION_ERROR
 
 
 def test_ardupilot_reads_back_what_its_storage_keeps() -> None:
@@ -100,16 +103,28 @@ def test_px4_reads_back_what_was_sent() -> None:
     assert [repr(i) for i in held] == [repr(i) for i in items]
 
 
+def test_px4_keeps_of_an_item_with_a_place_what_it_uses() -> None:
+    ground = Ground("px4")
+    items = mission("px4")
+    items[2] = replace(items[2], param1=1.5, param2=4.0, param3=7.0, param4=-90.0)
+    ground.upload(items)
+    held = ground.vehicle.missions.items()[2]
+    assert (held.param1, held.param2, held.param3, held.param4) == (1.5, 4.0, 0.0, 270.0)
+
+
 @BOTH
 def test_download_serves_integers_and_floats(autopilot: Autopilot) -> None:
     ground = Ground(autopilot)
     ground.upload(mission(autopilot))
     (counted,) = ground.send(mavlink.MAVLink_mission_request_list_message(1, 1))
     assert counted.count == len(mission(autopilot))
-    (exact,) = ground.send(mavlink.MAVLink_mission_request_int_message(1, 1, 3))
-    (rounded,) = ground.send(mavlink.MAVLink_mission_request_message(1, 1, 3))
+    for seq in range(4):
+        (exact,) = ground.send(mavlink.MAVLink_mission_request_int_message(1, 1, seq))
+        (rounded,) = ground.send(mavlink.MAVLink_mission_request_message(1, 1, seq))
     assert (exact.get_type(), rounded.get_type()) == ("MISSION_ITEM_INT", "MISSION_ITEM")
+    assert (exact.seq, rounded.seq) == (3, 3)
     assert rounded.x == pytest.approx(exact.x * 1e-7, abs=4e-6)  # float32 degrees
+    assert (exact.frame, rounded.frame) == ((0, 0) if autopilot == "ardupilot" else (5, 0))
 
 
 @pytest.mark.parametrize(("autopilot", "retry_s", "give_up_s"), [("ardupilot", 1.0, 8.0), ("px4", 0.25, 5.0)])
@@ -121,7 +136,7 @@ def test_vehicle_asks_again_then_gives_up(autopilot: Autopilot, retry_s: float, 
     assert len(requests) == pytest.approx(give_up_s / retry_s - 1, abs=1)
     acks = [m.type for m in of_type(heard, "MISSION_ACK")]
     assert acks == ([mavlink.MAV_MISSION_OPERATION_CANCELLED] if autopilot == "ardupilot" else [])
-    assert "Mission upload timeout" in texts(heard)
+    assert ("Mission upload timeout" if autopilot == "ardupilot" else "Operation timeout") in texts(heard)
 
 
 def test_a_broken_upload_leaves_ardupilot_a_hybrid() -> None:
@@ -167,7 +182,8 @@ def test_item_after_completion() -> None:
     assert ack.type == mavlink.MAV_MISSION_ERROR
     (ack,) = px4.send(item_message(mission("px4")[4]))  # its acknowledgement was lost
     assert ack.type == mavlink.MAV_MISSION_ACCEPTED
-    assert px4.send(item_message(mission("px4")[2])) == []
+    (ack,) = px4.send(item_message(mission("px4")[2]))
+    assert ack.type == mavlink.MAV_MISSION_ERROR
 
 
 @pytest.mark.parametrize(
@@ -216,9 +232,11 @@ def test_second_uploader_is_turned_away_and_changes_nothing(autopilot: Autopilot
     ground = Ground(autopilot)
     second = other_ground(ground)
     ground.send(count(len(mission(autopilot))))
-    expected = mavlink.MAV_MISSION_DENIED if autopilot == "ardupilot" else mavlink.MAV_MISSION_ERROR
-    for intrusion in (count(1), item_message(mission(autopilot)[0]), mavlink.MAVLink_mission_clear_all_message(1, 1)):
-        assert [m.type for m in second.send(intrusion)] == [expected]
+    denied, error = mavlink.MAV_MISSION_DENIED, mavlink.MAV_MISSION_ERROR
+    expected = [[denied], [denied], [error]] if autopilot == "ardupilot" else [[error], [], []]
+    intrusions = (count(1), item_message(mission(autopilot)[0]), mavlink.MAVLink_mission_clear_all_message(1, 1))
+    for intrusion, answer in zip(intrusions, expected, strict=True):
+        assert [m.type for m in second.send(intrusion)] == answer
     cancel = mavlink.MAVLink_mission_ack_message(1, 1, mavlink.MAV_MISSION_OPERATION_CANCELLED)
     assert second.send(cancel) == []
     for item in mission(autopilot):
@@ -229,8 +247,8 @@ def test_second_uploader_is_turned_away_and_changes_nothing(autopilot: Autopilot
 @BOTH
 def test_too_many_items_have_no_space(autopilot: Autopilot) -> None:
     ground = Ground(autopilot)
-    most = ground.autopilot.personality.transfer.item_max
-    assert [m.type for m in ground.send(count(most + 1))] == [mavlink.MAV_MISSION_NO_SPACE]
+    for kind, most in enumerate(ground.autopilot.personality.transfer.item_max):
+        assert [m.type for m in ground.send(count(most + 1, kind))] == [mavlink.MAV_MISSION_NO_SPACE]
 
 
 @BOTH
@@ -263,8 +281,7 @@ def test_partial_write_replaces_some_items_on_ardupilot_only() -> None:
     (ack,) = ground.send(item_message(replace(mission("ardupilot")[3], z=650.0)))
     assert ack.type == mavlink.MAV_MISSION_ACCEPTED
     assert [round(i.z) for i in ground.vehicle.missions.items()] == [584, 20, 0, 650, 604, 584]
-    (ack,) = Ground("px4").send(mavlink.MAVLink_mission_write_partial_list_message(1, 1, 0, 0))
-    assert ack.type == mavlink.MAV_MISSION_UNSUPPORTED
+    assert Ground("px4").send(mavlink.MAVLink_mission_write_partial_list_message(1, 1, 0, 0)) == []
 
 
 def test_px4_upload_can_be_cancelled() -> None:
@@ -284,6 +301,7 @@ def test_fence_and_rally_points_are_stores_of_their_own(autopilot: Autopilot) ->
     (counted,) = ground.send(mavlink.MAVLink_mission_request_list_message(1, 1, mavlink.MAV_MISSION_TYPE_FENCE))
     assert counted.count == 3
     assert len(ground.vehicle.missions.items()) == len(mission(autopilot))
+    ground.send(mavlink.MAVLink_mission_ack_message(1, 1, mavlink.MAV_MISSION_ACCEPTED, mavlink.MAV_MISSION_TYPE_FENCE))
     assert ground.upload(mission(autopilot), mavlink.MAV_MISSION_TYPE_RALLY) == mavlink.MAV_MISSION_UNSUPPORTED
     (ack,) = ground.send(count(1, kind=9))
     assert ack.type == mavlink.MAV_MISSION_UNSUPPORTED
