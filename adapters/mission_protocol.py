@@ -11,7 +11,8 @@ The rules (https://mavlink.io/en/services/mission.html, and what real autopilots
    timed out yet) is asked again; one that cancels (ArduPilot after 8 s without an item) gets the whole mission again.
    Both are bounded.
 5. ArduPilot answers INVALID_SEQUENCE to an item that comes twice and goes on; it answers ERROR to one that comes after
-   it has accepted the mission. Then its ACK was lost: the upload ends unconfirmed and the read-back decides.
+   it has accepted the mission. Then its ACK was lost: the upload ends unconfirmed and the read-back decides; so it does
+   when nothing more is heard once the last item was sent.
 6. An upload is believed when it reads back as sent, see :func:`mismatches`; not before.
 """
 
@@ -35,7 +36,7 @@ from adapters.mission_items import (
     MissionItem,
 )
 from missionplanner.errors import LinkError
-from missionplanner.vehicle import Autopilot
+from missionplanner.vehicle import Autopilot, VehicleClass
 
 Message = Any  # a pymavlink message: its classes are generated, and carry no types
 
@@ -54,7 +55,9 @@ class Timing:
     busy_s: float = 1.0  # before asking a busy vehicle again
     busy_retries: int = 12
     attempts: int = 4  # of the whole transfer
-    stalled_s: float = 20.0  # without a new item, however often the vehicle asks for the old one
+    read_attempts: int = 12  # of a download: PX4 ends it as soon as an old request comes late
+    stalled_s: float = 20.0  # without a new item, however often the vehicle asks for the old ones
+    restarts: int = 20  # of the vehicle's own, at each COUNT that comes late or twice: more of them are no progress
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +165,8 @@ class MissionUpload:
         self._busy = 0
         self._last: int | None = None  # the item sent last, in this attempt
         self._last_item_sent = False
+        self._asked: set[int] = set()  # since the vehicle began
+        self._restarts = 0
         self._progress_s = 0.0
 
     def poll(self, now_s: float) -> list[Message]:
@@ -184,7 +189,10 @@ class MissionUpload:
         if now_s < self._patience.due_s:
             return []
         if self._patience.exhausted(self._timing.item_retries):
-            return self._again(now_s, "silence")
+            if not self._last_item_sent:
+                return self._again(now_s, "silence")
+            self._finish(confirmed=False)
+            return []
         assert self._last is not None
         return [self._item(self._last, now_s, again=True)]
 
@@ -192,10 +200,10 @@ class MissionUpload:
         if now_s < self._patience.due_s:
             return []
         if self._patience.exhausted(self._timing.retries):
-            state = self._state_after_failure() if self.sent else "it keeps its old mission: check the link"
+            state = self._state_after_failure() if self.sent else f"it keeps its old {self._what}: check the link"
             raise self._party.error(
-                f"expected requests for mission items, got no answer to {self._timing.retries + 1} MISSION_COUNTs; "
-                f"{state}"
+                f"expected requests for {self._what} items, got no answer to {self._timing.retries + 1} "
+                f"MISSION_COUNTs; {state}"
             )
         return [self._count(now_s, again=True)]
 
@@ -220,6 +228,11 @@ class MissionUpload:
             return []  # an echo of a longer mission
         if message.seq != self._last:
             self._patience.answered(now_s)
+        if message.seq == 0 and self._last not in (None, 0) and self._restarts < self._timing.restarts:
+            self._restarts += 1
+            self._asked.clear()
+        if message.seq not in self._asked:
+            self._asked.add(message.seq)
             self._progress_s = now_s
         self._phase = "sending"
         self.sent = max(self.sent, message.seq)
@@ -230,6 +243,7 @@ class MissionUpload:
         self._phase = "counting"
         self._last = None
         self._last_item_sent = False
+        self._asked.clear()
         return [self._count(now_s, again=False)]
 
     def _count(self, now_s: float, *, again: bool) -> Message:
@@ -266,8 +280,8 @@ class MissionUpload:
                     "refused the upload (DENIED): another ground station may be uploading; disconnect it and try again"
                 )
         raise self._party.error(
-            f"refused the mission: {_REASONS.get(result, f'MAV_MISSION_RESULT {result}')}, {self._at_last_item()}; "
-            f"{self._state_after_failure()}"
+            f"refused the {self._what}: {_REASONS.get(result, f'MAV_MISSION_RESULT {result}')}, "
+            f"{self._at_last_item()}; {self._state_after_failure()}"
         )
 
     def _accepted(self) -> list[Message]:
@@ -275,8 +289,8 @@ class MissionUpload:
             self._finish(confirmed=True)
         elif self._phase == "sending":
             raise self._party.error(
-                f"accepted the mission before its last item was sent ({self._at_last_item()} of {self.total - 1}); "
-                f"{self._state_after_failure()}"
+                f"accepted the {self._what} before its last item was sent "
+                f"({self._at_last_item()} of {self.total - 1}); {self._state_after_failure()}"
             )
         return []  # while counting: an echo of an earlier transfer
 
@@ -285,8 +299,8 @@ class MissionUpload:
         if self._busy > self._timing.busy_retries:
             reason = "no space" if result == mavlink.MAV_MISSION_NO_SPACE else "error"
             raise self._party.error(
-                f"refused a mission of {self.total} items ({reason}) {self._busy} times; "
-                "shorten it, or wait until the vehicle is ready and upload again"
+                f"refused a {self._what} of {self.total} items ({reason}) {self._busy} times; "
+                "it holds fewer: shorten it, or wait until the vehicle is ready and upload again"
             )
         if self._phase == "counting":
             self._patience.sent(now_s, again=False, wait_s=self._timing.busy_s)
@@ -311,10 +325,14 @@ class MissionUpload:
             return "no item sent"
         return f"item {self._last} (command {self._items[self._last].command})"
 
+    @property
+    def _what(self) -> str:
+        return what_is_sent(self._mission_type)
+
     def _state_after_failure(self) -> str:
-        if self._autopilot == "ardupilot":
+        if self._autopilot == "ardupilot" and self._mission_type == mavlink.MAV_MISSION_TYPE_MISSION:
             return "it may hold a mixture of the old mission and the new one: do not fly it, upload again"
-        return "it keeps its old mission: upload again before flying"
+        return f"it keeps its old {self._what}: upload again before flying"
 
 
 class MissionDownload:
@@ -357,7 +375,8 @@ class MissionDownload:
             return []
         if self._phase == "listing":
             if self._patience.exhausted(self._timing.retries):
-                raise self._party.error("expected its mission, got no answer to MISSION_REQUEST_LIST; check the link")
+                what = what_is_sent(self._mission_type)
+                raise self._party.error(f"expected its {what}, got no answer to MISSION_REQUEST_LIST; check the link")
             return [self._list(now_s, again=True)]
         if self._patience.exhausted(self._timing.item_retries):
             return self._again(now_s, "silence")
@@ -435,6 +454,8 @@ class MissionDownload:
             self.total = 0  # firmware without fences or rally points holds none
             self.done = True
             return []
+        if self._phase == "reading":
+            return self._again(now_s, f"refusal (MAV_MISSION_RESULT {result})")
         self._busy += 1
         if self._busy > self._timing.busy_retries:
             raise self._party.error(f"refused to give its mission (MAV_MISSION_RESULT {result}); wait and try again")
@@ -443,13 +464,20 @@ class MissionDownload:
         return []
 
     def _again(self, now_s: float, why: str) -> list[Message]:
-        if self._attempt >= self._timing.attempts:
+        if self._attempt >= self._timing.read_attempts:
             raise self._party.error(
                 f"reading its mission given up after {self._attempt} attempts: {why} "
                 f"at item {len(self._items)} of {self.total}; "
                 "check the link"
             )
         return self._begin(now_s)
+
+
+def what_is_sent(mission_type: int) -> str:
+    """Return what a MAV_MISSION_TYPE is called."""
+    return {mavlink.MAV_MISSION_TYPE_FENCE: "fence", mavlink.MAV_MISSION_TYPE_RALLY: "set of rally points"}.get(
+        mission_type, "mission"
+    )
 
 
 def item_message(item: MissionItem, sysid: int, mission_type: int = mavlink.MAV_MISSION_TYPE_MISSION) -> Message:
@@ -509,63 +537,126 @@ _FRAME_NAMES = {5: 0, 6: 3, 11: 10}
 _PARAMS = ("param1", "param2", "param3", "param4")
 _PLACE = ("x", "y", "z")
 
-# What each autopilot keeps of a command; the rest is dropped or rewritten, as measured. ArduCopter drops p2 to p4 of a
-# waypoint and sets p4 of LAND; neither autopilot keeps anything of RTL. Commands not named here are compared entirely.
+# What each firmware keeps of a command, as measured or as its source has it (ArduPilot: AP_Mission.cpp; PX4:
+# mavlink_mission.cpp); the rest is dropped or rewritten. ArduCopter drops p2 to p4 of a waypoint and sets p4 of LAND,
+# ArduPlane drops p1 of a waypoint; neither autopilot keeps anything of RTL. What is not named is compared entirely.
 _KEPT: dict[Autopilot, dict[int, tuple[str, ...]]] = {
     "ardupilot": {
         WAYPOINT: ("param1", *_PLACE),
-        LOITER_UNLIMITED: _PLACE,
+        LOITER_UNLIMITED: ("param3", *_PLACE),
+        mavlink.MAV_CMD_NAV_LOITER_TURNS: ("param1", "param3", *_PLACE),
+        mavlink.MAV_CMD_NAV_LOITER_TIME: ("param1", *_PLACE),
         RETURN_TO_LAUNCH: (),
-        LAND: _PLACE,
-        TAKEOFF: _PLACE,
+        LAND: ("param1", *_PLACE),
+        TAKEOFF: ("param1", *_PLACE),
+        mavlink.MAV_CMD_NAV_LOITER_TO_ALT: ("param2", *_PLACE),
+        mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT: ("param1", *_PLACE),
+        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: ("param1", "x", "y"),
+        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: ("param1", "x", "y"),
+        mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: ("param1", "x", "y"),
+        mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: ("param1", "x", "y"),
+        mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT: ("x", "y"),
+        mavlink.MAV_CMD_NAV_RALLY_POINT: _PLACE,
+        mavlink.MAV_CMD_CONDITION_DELAY: ("param1",),
+        mavlink.MAV_CMD_CONDITION_DISTANCE: ("param1",),
+        mavlink.MAV_CMD_DO_SET_MODE: ("param1",),
+        mavlink.MAV_CMD_DO_JUMP: ("param1", "param2"),
         CHANGE_SPEED: ("param1", "param2", "param3"),
+        mavlink.MAV_CMD_DO_LAND_START: _PLACE,
+        mavlink.MAV_CMD_DO_SET_ROI_LOCATION: ("param1", *_PLACE),
+        mavlink.MAV_CMD_DO_SET_ROI_NONE: (),
+        mavlink.MAV_CMD_DO_SET_ROI: ("param1", *_PLACE),
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST: ("param1",),
+        mavlink.MAV_CMD_IMAGE_START_CAPTURE: ("param1", "param2", "param3"),
+        mavlink.MAV_CMD_IMAGE_STOP_CAPTURE: ("param1",),
     },
     "px4": {
         WAYPOINT: ("param1", "param2", "param4", *_PLACE),
-        LOITER_UNLIMITED: _PLACE,
+        LOITER_UNLIMITED: ("param3", *_PLACE),
         RETURN_TO_LAUNCH: (),
         LAND: _PLACE,
         TAKEOFF: ("param4", *_PLACE),
+        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: ("param1", "x", "y"),
+        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: ("param1", "x", "y"),
+        mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: ("param1", "x", "y"),
+        mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: ("param1", "x", "y"),
+        mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT: ("x", "y"),
+        mavlink.MAV_CMD_NAV_RALLY_POINT: _PLACE,
+        mavlink.MAV_CMD_DO_JUMP: ("param1", "param2"),
         CHANGE_SPEED: ("param1", "param2", "param3"),
     },
 }
-_INTEGER_PARAMS: dict[Autopilot, dict[int, tuple[str, ...]]] = {"ardupilot": {WAYPOINT: ("param1",)}, "px4": {}}
+_KEPT_BY_ARDUPLANE: dict[int, tuple[str, ...]] = {WAYPOINT: ("param2", "param3", *_PLACE)}
+# stored as whole numbers, truncated
+_INTEGER_PARAMS: dict[Autopilot, dict[int, tuple[str, ...]]] = {
+    "ardupilot": {
+        WAYPOINT: ("param1", "param2", "param3"),
+        LOITER_UNLIMITED: ("param3",),
+        mavlink.MAV_CMD_NAV_LOITER_TURNS: ("param3",),
+        mavlink.MAV_CMD_NAV_LOITER_TIME: ("param1",),
+        LAND: ("param1",),
+        TAKEOFF: ("param1",),
+        mavlink.MAV_CMD_NAV_LOITER_TO_ALT: ("param2",),
+        mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT: ("param1",),
+        mavlink.MAV_CMD_NAV_RALLY_POINT: ("z",),
+    },
+    "px4": {},
+}
+_YAW: dict[Autopilot, tuple[int, ...]] = {"ardupilot": (), "px4": (WAYPOINT, TAKEOFF)}  # p4, given back in 0 to 360
 _ALTITUDE_TOLERANCE_M: dict[Autopilot, float] = {
     "ardupilot": 0.011,  # stores centimetres, truncated, of a single-precision number
     "px4": 1e-3,
 }
 
 
-def mismatches(sent: Sequence[MissionItem], read: Sequence[MissionItem], autopilot: Autopilot) -> list[Mismatch]:
-    """Compare a mission with its read-back, allowing each autopilot what it is known to rewrite.
+def mismatches(
+    sent: Sequence[MissionItem],
+    read: Sequence[MissionItem],
+    autopilot: Autopilot,
+    vehicle_class: VehicleClass = "copter",
+    *,
+    mission_type: int = mavlink.MAV_MISSION_TYPE_MISSION,
+) -> list[Mismatch]:
+    """Compare a mission, fence or rally points with the read-back, allowing each autopilot what it is known to rewrite.
 
-    ArduPilot's seq 0 is the vehicle's own home: its position is not compared.
+    ArduPilot's seq 0 of a mission is the vehicle's own home: its position is not compared.
     """
     if len(sent) != len(read):
         return [Mismatch(min(len(sent), len(read)), "count of items", len(sent), len(read))]
+    own_home = autopilot == "ardupilot" and mission_type == mavlink.MAV_MISSION_TYPE_MISSION
     found = []
     for item, held in zip(sent, read, strict=True):
         if item.command != held.command:
             found.append(Mismatch(item.seq, "command", item.command, held.command))
-        elif not (autopilot == "ardupilot" and item.seq == 0):
-            found += _item_mismatches(item, held, autopilot)
+        elif not (own_home and item.seq == 0):
+            found += _item_mismatches(item, held, autopilot, vehicle_class)
     return found
 
 
-def _item_mismatches(item: MissionItem, held: MissionItem, autopilot: Autopilot) -> list[Mismatch]:
+def _item_mismatches(
+    item: MissionItem, held: MissionItem, autopilot: Autopilot, vehicle_class: VehicleClass
+) -> list[Mismatch]:
     sent_frame, held_frame = (_FRAME_NAMES.get(frame, frame) for frame in (item.frame, held.frame))
     positioned = sent_frame != FRAME_MISSION
+    kept = _KEPT[autopilot].get(item.command, (*_PARAMS, *_PLACE) if positioned else _PARAMS)
+    if autopilot == "ardupilot" and vehicle_class == "plane":
+        kept = _KEPT_BY_ARDUPLANE.get(item.command, kept)
     found = []
-    if positioned and sent_frame != held_frame:  # ArduPilot gives frame 2 back as 0
+    # ArduPilot gives frame 2 back as 0; where no altitude is meant, the frame says nothing
+    if positioned and "z" in kept and sent_frame != held_frame:
         found.append(Mismatch(item.seq, "frame", item.frame, held.frame))
-    everything = (*_PARAMS, *_PLACE) if positioned else _PARAMS
-    for field in _KEPT[autopilot].get(item.command, everything):
+    for field in kept:
         want, got = getattr(item, field), getattr(held, field)
-        if field in _INTEGER_PARAMS[autopilot].get(item.command, ()):
+        if field in _INTEGER_PARAMS[autopilot].get(item.command, ()) and math.isfinite(want):
             want = float(math.trunc(want))
-        if not _same(field, want, got, autopilot):
+        turns = field == "param4" and item.command in _YAW[autopilot]
+        if not _same(field, want, got, autopilot) and not (turns and _same_angle(want, got)):
             found.append(Mismatch(item.seq, field, want, got))
     return found
+
+
+def _same_angle(want_deg: float, got_deg: float) -> bool:
+    return math.isfinite(want_deg) and abs((want_deg - got_deg + 180.0) % 360.0 - 180.0) <= 1e-3
 
 
 def _same(field: str, want: float, got: float, autopilot: Autopilot) -> bool:

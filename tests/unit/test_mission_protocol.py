@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from adapters.mission_items import MissionItem, plan_items
 from adapters.mission_protocol import Message, MissionDownload, MissionUpload, Party, Timing, item_message, mismatches
 from missionplanner.errors import LinkError
-from missionplanner.vehicle import Autopilot
+from missionplanner.vehicle import Autopilot, VehicleClass
 from tests.plans import FRAME, vehicle_plan
 
 PARTY = Party("uav3", 3)
@@ -283,7 +283,7 @@ def test_a_download_asks_again_and_gives_up() -> None:
             sent += len(download.poll(now_s))
             now_s += 0.1
     assert sent == 11
-    reading = MissionDownload(PARTY, timing=Timing(attempts=1))
+    reading = MissionDownload(PARTY, timing=Timing(read_attempts=1))
     reading.poll(0.0)
     reading.receive(count(4), 0.1)
     now_s = 0.1
@@ -384,3 +384,96 @@ def test_commands_without_a_mask_are_compared_entirely() -> None:
     item = MissionItem(0, 2, 206, 10.0, 0.0, 1.0)
     assert mismatches([item], [replace(item, param3=0.0)], "px4")
     assert not mismatches([item], [item], "px4")
+
+
+def test_five_requests_ahead_are_all_served() -> None:
+    """As MAVProxy asks; an item that is lost is asked for alone."""
+    upload = begun()
+    for ahead in range(LAST + 1):
+        [item] = upload.receive(request(ahead), 0.1)
+        assert item.seq == ahead
+    [again] = upload.receive(request(2), 0.5)
+    assert again.seq == 2
+    assert not upload.done
+    upload.receive(ack(0), 0.6)
+    assert upload.confirmed
+
+
+def test_a_vehicle_that_asks_for_the_same_items_for_ever_is_given_up() -> None:
+    """Also by turns, also from the beginning: only what is asked for the first time is progress."""
+    for cycle in ((1, 2), tuple(range(LAST))):
+        upload = begun(upto=2)
+        now_s = 0.1
+        with pytest.raises(LinkError, match="given up after 4 attempts: no progress"):
+            while now_s < 2_000.0:
+                for seq in cycle:
+                    upload.poll(now_s)
+                    upload.receive(request(seq), now_s)
+                    now_s += 0.4
+        assert now_s < 600.0
+
+
+def test_silence_after_the_last_item_leaves_it_to_the_read_back() -> None:
+    upload = begun(upto=LAST)
+    now_s = 0.1
+    while not upload.done and now_s < 100.0:
+        assert {m.seq for m in upload.poll(now_s)} <= {LAST}
+        now_s += 0.1
+    assert upload.done
+    assert not upload.confirmed
+
+
+@pytest.mark.parametrize(("kind", "what"), [(1, "a fence"), (2, "a set of rally points")])
+def test_too_many_fence_or_rally_items_are_told_as_such(kind: int, what: str) -> None:
+    upload = MissionUpload(PARTY, "px4", ITEMS, mission_type=kind)
+    [first] = upload.poll(0.0)
+    assert first.mission_type == kind
+    refusal = from_vehicle(mavlink.MAVLink_mission_ack_message(255, 190, mavlink.MAV_MISSION_NO_SPACE, kind))
+    assert upload.receive(ack(mavlink.MAV_MISSION_NO_SPACE), 0.1) == []  # of a mission
+    now_s = 0.1
+    with pytest.raises(LinkError, match=rf"refused {what} of 6 items \(no space\) 13 times; it holds fewer"):
+        while now_s < 60.0:
+            upload.receive(refusal, now_s)
+            now_s += 1.0
+            upload.poll(now_s)
+
+
+def item(command: int, frame: int = 0, *params: float, x: int = 5, y: int = 7, z: float = 30.0) -> MissionItem:
+    return MissionItem(1, frame, command, *params, *[0.0] * (4 - len(params)), x=x, y=y, z=z)
+
+
+@pytest.mark.parametrize(
+    ("sent", "read", "autopilot", "vehicle_class", "fields"),
+    [
+        (item(16, 0, 2.9), item(16, 0, 2.0), "ardupilot", "copter", []),
+        (item(16, 0, 2.9), item(16, 0, 0.0), "ardupilot", "copter", ["param1"]),
+        (item(16, 0, 0.0, 45.0), item(16, 0, 0.0, 45.0), "ardupilot", "plane", []),
+        (item(16, 0, 0.0, 45.0), item(16, 0, 0.0, 0.0), "ardupilot", "plane", ["param2"]),
+        (item(17, 0, 0.0, 0.0, -60.5), item(17, 0, 0.0, 0.0, -60.0), "ardupilot", "plane", []),
+        (item(17, 0, 0.0, 0.0, -60.0), item(17, 0, 0.0, 0.0, 60.0), "ardupilot", "plane", ["param3"]),
+        (item(16, 0, 0.0, 2.0, 0.0, -90.0), item(16, 0, 0.0, 2.0, 0.0, 270.0), "px4", "copter", []),
+        (item(16, 0, 0.0, 2.0, 0.0, -90.0), item(16, 0, 0.0, 2.0, 0.0, 90.0), "px4", "copter", ["param4"]),
+        (item(195, 0), item(195, 0), "ardupilot", "copter", []),
+        (item(195, 3), item(195, 0), "ardupilot", "copter", ["frame"]),
+        (item(195, 0), item(195, 0, x=6), "ardupilot", "copter", ["x"]),
+        (item(206, 2, 25.0), item(206, 0, 25.0, x=0, y=0, z=0.0), "ardupilot", "copter", []),
+        (item(206, 2, 25.0), item(206, 0, 24.0, x=0, y=0, z=0.0), "ardupilot", "copter", ["param1"]),
+        (item(5002, 3, 4.0), item(5002, 0, 4.0, z=0.0), "ardupilot", "copter", []),
+        (item(5002, 3, 4.0), item(5002, 0, 3.0, y=8), "ardupilot", "copter", ["param1", "y"]),
+        (item(5004, 0, 80.5), item(5004, 0, 80.5), "px4", "copter", []),
+        (item(5100, 3, z=41.7), item(5100, 3, z=41.0), "ardupilot", "copter", []),
+        (item(5100, 3, z=41.7), item(5100, 0, z=41.7), "px4", "copter", ["frame"]),
+    ],
+)
+def test_what_is_compared_depends_on_firmware_and_command(
+    sent: MissionItem, read: MissionItem, autopilot: Autopilot, vehicle_class: VehicleClass, fields: list[str]
+) -> None:
+    kind = {5002: 1, 5004: 1, 5100: 2}.get(sent.command, 0)
+    found = mismatches([replace(sent, seq=1)] * 2, [read] * 2, autopilot, vehicle_class, mission_type=kind)
+    assert [m.field for m in found] == fields * 2
+
+
+def test_only_a_mission_has_its_home_as_first_item() -> None:
+    sent, read = [replace(item(5001, 0, 3.0), seq=0)], [replace(item(5001, 0, 3.0, x=6), seq=0)]
+    assert mismatches(sent, read, "ardupilot") == []
+    assert [m.field for m in mismatches(sent, read, "ardupilot", mission_type=1)] == ["x"]
