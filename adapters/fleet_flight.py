@@ -7,24 +7,46 @@ The order is a rule: nothing takes off before every vehicle that starts at once 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.endpoint import Endpoint
-from adapters.fleet_vehicle import ARMING_MODES, FleetVehicle, Order, VehicleStatus
+from adapters.fleet_vehicle import ARMING_MODES, UNHEARD_S, FleetVehicle, Mode, Order, VehicleStatus
 from adapters.ground_station import ANSWER_S, WAIT_S, Clock, Station, Steps, Waiting, joined
 from adapters.pace_keeper import PaceKeeper, Told
 from adapters.telemetry_log import FleetLog
 from missionplanner.errors import LinkError
 from missionplanner.pacing import Pacer, Sighting
-from missionplanner.plan import FleetFlight, FleetPlan, FlownMeeting
+from missionplanner.plan import FleetFlight, FleetPlan, FlownMeeting, Ordered, OrderResult
 
 ReadyProgress = Callable[[str, str], None]
 """Called with a vehicle's name and what it still lacks to be armed, "ready" in the end; whenever that changes."""
 WatchProgress = Callable[[Sequence[VehicleStatus]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """An order for the named vehicles; for all where none is named."""
+
+    order: Order
+    vehicles: frozenset[str] = frozenset()
+
+
+class Helm(Protocol):
+    """Whoever gives orders while a fleet is watched."""
+
+    def request(self) -> Request | None:
+        """Return what is wanted now; called again and again. May raise ``KeyboardInterrupt`` to end the watch."""
+        ...
+
+    def answer(self, outcomes: Sequence[Ordered]) -> None:
+        """Hear what came of the last request, vehicle by vehicle."""
+        ...
+
 
 _READY_S = 180.0  # a cold GPS and a cold estimator take a minute
 _FLYING_S = 5.0  # from MISSION_START to being seen in its mission
@@ -36,7 +58,15 @@ _ARM_EARLY_S = 4.0  # before a delayed start
 _LOST_S = 60.0
 _PROGRESS_S = 0.5
 _HEARTBEAT_S = 1.5
+_SEEN_S = 3.0  # from an answer to a heartbeat that shows what was answered
+_STANDS_S = 10.0  # from an answer to standing still
+_STANDS_M_S = 0.5
+_ORDER_S = 5.0  # for an answer to an order
 
+_NOT_PROVEN = (
+    "who stands keeps clear of ground and obstacles as proven, but that the fleet keeps apart and arrives together was "
+    "proven for the planned times only: it is watched from now on, not proven"
+)
 _CUSTOM_MODE = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _MESSAGE_INTERVALS_S = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.2,
@@ -74,6 +104,12 @@ class FlightControl:
         self._later: dict[int, Steps] = {}  # starts still to come
         self._grounded: dict[int, LinkError] = {}  # who did not start when it should
         self._keeper: PaceKeeper | None = None
+        self._orders: dict[int, Steps] = {}  # being given
+        self._outcomes: dict[int, Ordered] = {}  # of those given last
+        self._ordered: list[Ordered] = []  # all of them, in order
+        self._paused_s: dict[int, float] = {}  # since when vehicles stand by order
+        self._put_off_s: dict[int, float] = {}  # for how long they have stood before
+        self._unheard: set[int] = set()
 
     def close(self) -> None:
         """Close all links."""
@@ -132,13 +168,19 @@ class FlightControl:
         self._later = {k: self._starting_later(v) for k, v in self._vehicles.items() if k not in first}
 
     def watch(
-        self, progress: WatchProgress | None = None, *, pacer: Pacer | None = None, tell: Told | None = None
+        self,
+        progress: WatchProgress | None = None,
+        *,
+        pacer: Pacer | None = None,
+        tell: Told | None = None,
+        helm: Helm | None = None,
     ) -> FleetFlight:
         """Record until every vehicle has ended its mission: landed, or arrived where it is to stay.
 
         However it ends, vehicles that were stopped to lose time are let go on. With a ``pacer`` (of the plan's
         vehicles, in order) it is watched how late they are; and speeds are commanded, if the pacer may correct.
-        ``tell`` hears of each.
+        ``tell`` hears of each, of vehicles that are not heard for a while, and of what came of the orders that the
+        ``helm`` gives.
 
         Raises
         ------
@@ -147,7 +189,7 @@ class FlightControl:
             far longer than planned, once the others have ended theirs. :meth:`flight` has what was recorded.
         """
         try:
-            self._watch(progress, pacer, tell)
+            self._watch(progress, pacer, tell, helm)
         except BaseException as error:  # of whatever kind: nobody watches the stopped ones now
             standing = self._let_go(tell)
             if standing and isinstance(error, LinkError):
@@ -160,7 +202,7 @@ class FlightControl:
             raise LinkError(standing)
         return self.flight()
 
-    def _watch(self, progress: WatchProgress | None, pacer: Pacer | None, tell: Told | None) -> None:
+    def _watch(self, progress: WatchProgress | None, pacer: Pacer | None, tell: Told | None, helm: Helm | None) -> None:
         assert self._start_s is not None, "start first"
         longest_s = max(float(vehicle.plan.trajectory.t_s[-1]) for vehicle in self._vehicles.values())
         give_up_s = self._start_s + 2.0 * longest_s + 2.0 * _LOST_S
@@ -177,15 +219,20 @@ class FlightControl:
             self._station.exchange()
             now_s = self._clock.now_s()
             self._start_those_due(tell)
+            self._look_for_gaps(now_s, tell)
+            if helm is not None:
+                self._steer(helm, tell)
+            put_off_s = max((self._stood_s(k) for k in self._vehicles), default=0.0)
             if self._keeper is not None:
-                if now_s > release_s and math.isfinite(release_s):
+                self._keeper.muted = bool(self._orders or self._paused_s)
+                if now_s > release_s + put_off_s and math.isfinite(release_s):
                     release_s = math.inf
                     self._keeper.stop_no_more()
                     standing = self._let_go(tell)
                     if standing and tell is not None:
                         tell(standing)
                 self._keeper.step(now_s)
-            ended = not self._later and all(
+            ended = not (self._later or self._orders) and all(
                 k in self._grounded or vehicle.ended or vehicle.lost(now_s) for k, vehicle in self._vehicles.items()
             )
             if progress is not None and (ended or now_s >= shown_s + _PROGRESS_S):
@@ -193,7 +240,7 @@ class FlightControl:
                 advice = None if self._keeper is None else self._keeper.advice
                 paces = [None] * len(vehicles) if advice is None else advice.paces
                 progress([v.status(now_s, pace) for v, pace in zip(vehicles, paces, strict=True)])
-            if ended or now_s > give_up_s:
+            if ended or now_s > give_up_s + put_off_s:
                 break
             self._clock.wait(WAIT_S)
         failures = [
@@ -201,6 +248,26 @@ class FlightControl:
         ]
         if failures:
             raise joined(failures)
+
+    def _look_for_gaps(self, now_s: float, tell: Told | None) -> None:
+        """Tell of flying vehicles that are not heard any more, and that are heard again."""
+        for sysid, vehicle in self._vehicles.items():
+            silent_s = vehicle.silent_s(now_s)
+            if sysid in self._unheard:
+                if silent_s <= UNHEARD_S:
+                    self._unheard.remove(sysid)
+                    self._say(f"{vehicle.plan.name}: heard again, {vehicle.where}", tell)
+            elif silent_s > UNHEARD_S and vehicle.started and not vehicle.ended:
+                self._unheard.add(sysid)
+                self._say(
+                    f"{vehicle.plan.name}: not heard for {silent_s:.0f} s, {vehicle.where}; it flies on by itself", tell
+                )
+
+    def _say(self, text: str, tell: Told | None) -> None:
+        if self._log is not None:
+            self._log.note(self._clock.now_s(), text)
+        if tell is not None:
+            tell(text)
 
     def _let_go(self, tell: Told | None) -> str:
         """Let vehicles go on that stand by our command; return what is to be said of those that did not confirm."""
@@ -239,14 +306,14 @@ class FlightControl:
         flown = [vehicle.flown() for vehicle in self._vehicles.values()]
         keeper = self._keeper
         if keeper is None:
-            return FleetFlight(tuple(flown))
+            return FleetFlight(tuple(flown), orders=tuple(self._ordered))
         watched = (replace(vehicle, lateness=keeper.lateness(i)) for i, vehicle in enumerate(flown))
         vehicles = list(self._vehicles.values())
         meetings = [
             FlownMeeting(m.name, {vehicles[i].plan.name: vehicles[i].reached_s(at) for i, at in m.waypoints.items()})
             for m in keeper.meetings
         ]
-        return FleetFlight(tuple(watched), tuple(keeper.corrections), tuple(meetings))
+        return FleetFlight(tuple(watched), tuple(keeper.corrections), tuple(meetings), tuple(self._ordered))
 
     @property
     def now_s(self) -> float:
@@ -263,18 +330,218 @@ class FlightControl:
         """Whether the fleet's start has been commanded."""
         return self._start_s is not None
 
-    def order(self, order: Order) -> None:
-        """Send every armed vehicle home, down, into a hover, or (``auto``) on with its mission.
+    @property
+    def flying(self) -> list[str]:
+        """The names of the vehicles that are armed, or were when they were last heard, and have not ended."""
+        return [vehicle.plan.name for vehicle in self._vehicles.values() if vehicle.armed and not vehicle.ended]
 
-        Raises
-        ------
-        LinkError
-            A vehicle does not confirm; the others have obeyed.
+    def pump(self) -> None:
+        """Listen for a moment, and be heard: a vehicle that misses its ground station may return."""
+        self._station.step()
+
+    def order(self, order: Order, names: Collection[str] = ()) -> tuple[Ordered, ...]:
+        """Give an order to the named vehicles, to all where none is named, and return what came of it for each.
+
+        Nobody's failure keeps the others from obeying. Who is still to start does not, once told to return or land.
         """
-        armed = {sysid: vehicle for sysid, vehicle in self._vehicles.items() if vehicle.armed}
-        self._station.together(
-            {k: self._switching(v, order) for k, v in armed.items()}, after_failure="the others have obeyed"
+        self._give(Request(order, frozenset(names)))
+        self._station.together(self._orders)
+        self._orders.clear()
+        return self._given()
+
+    def _steer(self, helm: Helm, tell: Told | None) -> None:
+        """Go on with the orders being given, and ask for others; what comes of them is told."""
+        if self._orders:
+            for sysid in list(self._orders):
+                try:
+                    next(self._orders[sysid])
+                except StopIteration:
+                    del self._orders[sysid]
+            if not self._orders:
+                outcomes = self._given()
+                for outcome in outcomes:
+                    self._say(outcome.words, tell)
+                if any(outcome.order == "pause" and outcome.result == "obeyed" for outcome in outcomes):
+                    self._say(_NOT_PROVEN, tell)
+                helm.answer(outcomes)
+        elif (request := helm.request()) is not None:
+            self._give(request)
+
+    def _give(self, request: Request) -> None:
+        wanted = {k: v for k, v in self._vehicles.items() if not request.vehicles or v.plan.name in request.vehicles}
+        self._outcomes = {}
+        for sysid, vehicle in wanted.items():
+            if self._keeper is not None:
+                self._keeper.give_up(list(self._vehicles).index(sysid))
+            self._orders[sysid] = self._obeying(vehicle, request.order)
+
+    def _given(self) -> tuple[Ordered, ...]:
+        outcomes = tuple(self._outcomes[k] for k in self._vehicles if k in self._outcomes)
+        self._ordered += outcomes
+        return outcomes
+
+    def _obeying(self, vehicle: FleetVehicle, order: Order) -> Steps:
+        plan = vehicle.plan
+        result: OrderResult
+        try:
+            result, words = yield from self._telling(vehicle, order)
+        except LinkError:
+            vehicle.command = None
+            result = "silent"
+            words = f"was told to {order}, and does not answer: whether it obeys is not known; take over by hand"
+        if result == "obeyed":
+            vehicle.order = None if order == "resume" else order
+        at_s = self._clock.now_s()
+        if result in ("obeyed", "grounded"):
+            if order == "pause":
+                self._paused_s.setdefault(plan.sysid, at_s)
+            else:
+                self._put_off_s[plan.sysid] = self._stood_s(plan.sysid)
+                self._paused_s.pop(plan.sysid, None)
+        t_s = vehicle.recorder.t_s
+        self._outcomes[plan.sysid] = Ordered(plan.name, order, t_s, result, f"{plan.name} {words}")
+
+    def _stood_s(self, sysid: int) -> float:
+        """Return for how long a vehicle has stood by order."""
+        since_s = self._paused_s.get(sysid)
+        return self._put_off_s.get(sysid, 0.0) + (0.0 if since_s is None else self._clock.now_s() - since_s)
+
+    def _telling(self, vehicle: FleetVehicle, order: Order) -> Waiting[tuple[OrderResult, str]]:
+        """Give one vehicle an order; return what came of it, as the end of a sentence that begins with its name."""
+        if vehicle.recorder.landed and not vehicle.armed:
+            return "grounded", "has landed"
+        waiting = yield from self._keeping_down(vehicle, order)
+        if waiting is not None:
+            return "grounded", waiting
+        match order:
+            case "pause":
+                return (yield from self._pausing(vehicle))
+            case "resume":
+                return (yield from self._resuming(vehicle))
+        refusal = yield from self._changing_mode(vehicle, order)
+        if refusal:
+            return "refused", f"was told to {order}, and {refusal}"
+        if order == "rtl" or vehicle.modes["land"] == vehicle.modes["rtl"]:
+            return "obeyed", "returns home" + (" (planes do not land where they are)" if order == "land" else "")
+        return "obeyed", "lands where it is"
+
+    def _keeping_down(self, vehicle: FleetVehicle, order: Order) -> Waiting[str | None]:
+        """Keep a vehicle on the ground that has not flown yet; return how it stays there, None if it flies."""
+        sysid = vehicle.plan.sysid
+        later = self._later.pop(sysid, None)
+        if vehicle.armed or (later is not None and vehicle.asked_to_arm):
+            if later is None or order == "resume":
+                if later is not None:
+                    self._later[sysid] = later
+                return None
+            if not (yield from self._disarming(vehicle)):
+                return None  # it has just left the ground
+        if later is None:
+            return "stays on the ground, disarmed"
+        if order in ("pause", "resume"):
+            later.close()
+            vehicle.asked_to_arm = False
+            self._later[sysid] = self._starting_later(vehicle)
+            return "waits on the ground" + (": its start is put off" if order == "pause" else " for its start")
+        self._ground(sysid, vehicle.error(f"was told to {order} before its start: it stays on the ground, disarmed"))
+        return "stays on the ground, disarmed: its start is called off"
+
+    def _pausing(self, vehicle: FleetVehicle) -> Waiting[tuple[OrderResult, str]]:
+        """Stop a vehicle: an ArduCopter on its leg, in its mission; others where they come to stand or circle.
+
+        The former is ModeAuto::pause, since ArduCopter 4.2; it is refused where the leg cannot be paused.
+        """
+        if self._stops_in_mission(vehicle):
+            result = yield from self._commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
+            if result == mavlink.MAV_RESULT_ACCEPTED:
+                end_s = self._clock.now_s() + _STANDS_S
+                while not vehicle.paused and vehicle.speed_m_s > _STANDS_M_S:
+                    if self._clock.now_s() >= end_s:
+                        return "refused", "accepted to pause, and is not seen to stand"
+                    yield
+                return "obeyed", f"stands on its way, {vehicle.where}"
+        if vehicle.in_mode("auto"):
+            vehicle.left_item = vehicle.current_item
+        refusal = yield from self._changing_mode(vehicle, "hold")
+        if refusal:
+            return "refused", f"was told to pause, and {refusal}"
+        if vehicle.plan.vehicle_class == "plane":
+            return "obeyed", f"circles, {vehicle.where}: its circle is not proven to be clear"
+        return "obeyed", f"holds, {vehicle.where}"
+
+    def _resuming(self, vehicle: FleetVehicle) -> Waiting[tuple[OrderResult, str]]:
+        """Let a vehicle go on to the item that it was flying to, at the speed that its mission has set for it.
+
+        ArduPilot begins anew where MIS_RESTART says so, unless the item is set before; PX4 and ArduPilot both forget
+        the speed when they leave the mission.
+        """
+        if vehicle.in_mode("auto"):
+            if not self._stops_in_mission(vehicle):
+                return "obeyed", f"flies its mission, {vehicle.where}"
+            result = yield from self._commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
+            if result != mavlink.MAV_RESULT_ACCEPTED and vehicle.order == "pause":
+                return "refused", f"was told to resume, and refused{vehicle.said(self._clock.now_s())}"
+            self._flies_on(vehicle)
+            return "obeyed", f"goes on, {vehicle.where}"
+        item, off_m = vehicle.current_item if vehicle.left_item is None else vehicle.left_item, vehicle.off_way_m()
+        if item is None:
+            return "refused", "is not resumed: which item it was flying to is not known"
+        if off_m > self._home_tolerance_m and not vehicle.warned:
+            vehicle.warned = True
+            return "refused", (
+                f"is not resumed: it is {off_m:.0f} m off its leg to item {item}, the way there is not proven; "
+                "resume again to fly it all the same"
+            )
+        if not (yield from self._making_current(vehicle, item)):
+            return "refused", f"is not resumed: it does not make item {item} its current one"
+        refusal = yield from self._changing_mode(vehicle, "auto")
+        if refusal:
+            return "refused", f"was told to resume, and {refusal}"
+        speed = vehicle.speed_item
+        vehicle.current_item = None
+        end_s = self._clock.now_s() + _SEEN_S
+        while vehicle.current_item is None and self._clock.now_s() < end_s:
+            yield
+        begins_anew = vehicle.current_item is None or vehicle.current_item < item
+        if begins_anew and not (yield from self._making_current(vehicle, item)):
+            return "refused", f"flies its mission, {vehicle.where} instead of to item {item}: take over by hand"
+        vehicle.left_item, vehicle.warned = None, False
+        self._flies_on(vehicle)
+        off = f", from {off_m:.0f} m off its leg: not proven" if off_m > self._home_tolerance_m else ""
+        if speed is None:
+            return "obeyed", f"goes on to item {item}{off}"
+        params = (speed.param1, speed.param2, speed.param3)
+        result = yield from self._commanding(vehicle, mavlink.MAV_CMD_DO_CHANGE_SPEED, *params)
+        if result != mavlink.MAV_RESULT_ACCEPTED:
+            return "obeyed", f"goes on to item {item}{off}, but refused {speed.param2:.2f} m/s: its speed is another"
+        if self._keeper is not None:
+            self._keeper.as_planned(list(self._vehicles).index(vehicle.plan.sysid))
+        return "obeyed", f"goes on to item {item} at {speed.param2:.2f} m/s{off}"
+
+    def _flies_on(self, vehicle: FleetVehicle) -> None:
+        if self._keeper is not None:
+            self._keeper.went_on(list(self._vehicles).index(vehicle.plan.sysid))
+
+    @staticmethod
+    def _stops_in_mission(vehicle: FleetVehicle) -> bool:
+        return (vehicle.plan.autopilot, vehicle.plan.vehicle_class) == ("ardupilot", "copter") and vehicle.in_mode(
+            "auto"
         )
+
+    def _commanding(self, vehicle: FleetVehicle, number: int, *params: float) -> Waiting[int]:
+        return (yield from self._station.commanding(vehicle, number, *params, patience_s=_ORDER_S))
+
+    def _changing_mode(self, vehicle: FleetVehicle, mode: Mode) -> Waiting[str]:
+        """Switch a vehicle to a mode and see it there; return what it did instead, nothing if it did."""
+        result = yield from self._mode_result(vehicle, vehicle.modes[mode], _ORDER_S)
+        if result != mavlink.MAV_RESULT_ACCEPTED:
+            return f"refused{vehicle.said(self._clock.now_s())}"
+        end_s = self._clock.now_s() + _SEEN_S
+        while not vehicle.in_mode(mode):
+            if self._clock.now_s() >= end_s:
+                return f"accepted, but is in mode {vehicle.custom_mode}{vehicle.said(self._clock.now_s())}"
+            yield
+        return ""
 
     def call_off(self) -> list[str]:
         """Disarm those who have not started yet, before nobody watches them: they stay on the ground; return who.
@@ -342,7 +609,7 @@ class FlightControl:
             yield from self._station.commanding(vehicle, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, interval_s * 1e6)
         end_s = self._clock.now_s() + timeout_s
         told = ""
-        while (missing := vehicle.not_ready(self._clock.now_s())) is not None:
+        while missing := "; ".join(vehicle.lacks(self._clock.now_s())):
             if self._clock.now_s() >= end_s:
                 raise vehicle.error(f"not ready to arm within {timeout_s:.0f} s: {missing}")
             if progress is not None and missing != told:
@@ -358,29 +625,39 @@ class FlightControl:
     def _rewinding(self, vehicle: FleetVehicle) -> Steps:
         """Set the first item as the current one: the vehicle may have flown this mission before."""
         first = 1 if vehicle.plan.autopilot == "ardupilot" else 0
-        message = mavlink.MAVLink_mission_set_current_message(vehicle.plan.sysid, 1, first)
+        if not (yield from self._making_current(vehicle, first, or_before=True)):
+            raise vehicle.error(f"expected to begin its mission at item {first}, it stands at {vehicle.current_item}")
+
+    def _making_current(self, vehicle: FleetVehicle, item: int, *, or_before: bool = False) -> Waiting[bool]:
+        """Set a mission's current item; return whether the vehicle then says that it is (or a still earlier one)."""
+        message = mavlink.MAVLink_mission_set_current_message(vehicle.plan.sysid, 1, item)
         vehicle.current_item = None
         end_s = self._clock.now_s() + ANSWER_S
         due_s = -math.inf
-        while vehicle.current_item is None or vehicle.current_item > first:
+        while vehicle.current_item != item and not (
+            or_before and vehicle.current_item is not None and vehicle.current_item < item
+        ):
             now_s = self._clock.now_s()
             if now_s >= end_s:
-                raise vehicle.error(
-                    f"expected to begin its mission at item {first}, it stands at {vehicle.current_item}"
-                )
+                return False
             if now_s >= due_s:
                 due_s = now_s + 1.0
                 self._station.send(vehicle, [message])
             yield
+        return True
 
-    def _switching(self, vehicle: FleetVehicle, order: Order) -> Steps:
-        yield from self._into_mode(vehicle, vehicle.modes[order], order)
+    def _switching(self, vehicle: FleetVehicle, mode: Mode) -> Steps:
+        yield from self._into_mode(vehicle, vehicle.modes[mode], mode)
 
     def _into_mode(self, vehicle: FleetVehicle, mode: int, name: str) -> Steps:
-        main, sub = (mode, 0) if vehicle.plan.autopilot == "ardupilot" else (mode >> 16 & 0xFF, mode >> 24)
-        result = yield from self._station.commanding(vehicle, mavlink.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE, main, sub)
+        result = yield from self._mode_result(vehicle, mode, ANSWER_S)
         if result != mavlink.MAV_RESULT_ACCEPTED:
             raise vehicle.error(f"refused to switch to {name} (mode {mode}){vehicle.said(self._clock.now_s())}")
+
+    def _mode_result(self, vehicle: FleetVehicle, mode: int, patience_s: float) -> Waiting[int]:
+        main, sub = (mode, 0) if vehicle.plan.autopilot == "ardupilot" else (mode >> 16 & 0xFF, mode >> 24)
+        command = mavlink.MAV_CMD_DO_SET_MODE
+        return (yield from self._station.commanding(vehicle, command, _CUSTOM_MODE, main, sub, patience_s=patience_s))
 
     def _arming(self, vehicle: FleetVehicle) -> Steps:
         vehicle.asked_to_arm = True
@@ -391,7 +668,7 @@ class FlightControl:
 
     def _starting(self, vehicle: FleetVehicle) -> Steps:
         result = yield from self._station.commanding(
-            vehicle, mavlink.MAV_CMD_MISSION_START, 0.0, len(vehicle.items) - 1.0, retry_s=_START_RETRY_S
+            vehicle, mavlink.MAV_CMD_MISSION_START, retry_s=_START_RETRY_S  # a range of items is refused by ArduPilot
         )
         if result != mavlink.MAV_RESULT_ACCEPTED:
             raise vehicle.error(f"refused to start its mission{vehicle.said(self._clock.now_s())}")
@@ -415,9 +692,12 @@ class FlightControl:
 
     def _starting_later(self, vehicle: FleetVehicle) -> Steps:
         assert self._start_s is not None
-        at_s = self._start_s + vehicle.plan.start_delay_s
-        while self._clock.now_s() < at_s - _ARM_EARLY_S:
+        due_s = self._start_s + vehicle.plan.start_delay_s
+        while vehicle.plan.sysid in self._paused_s or (
+            self._clock.now_s() < due_s + self._stood_s(vehicle.plan.sysid) - _ARM_EARLY_S
+        ):
             yield
+        at_s = due_s + self._stood_s(vehicle.plan.sysid)
         try:
             yield from self._arming(vehicle)
             while self._clock.now_s() < at_s:
@@ -474,10 +754,14 @@ class FlightControl:
                 silent.append(vehicle.plan.name)
 
         self._station.together({sysid: ending(vehicle) for sysid, vehicle in armed.items()})
+        others = "the others are disarmed on the ground"
+        if told:
+            others = f"{', '.join(told)} told to land, {others}"
         if silent:
             return (
-                f"the start was called off, but {', '.join(silent)} did not answer and may be flying: take over by hand"
+                f"the start was called off, but {', '.join(silent)} did not answer and may be flying: take over by "
+                f"hand; {others}"
             )
         if told:
-            return f"the start was called off: {', '.join(told)} told to land, the others disarmed"
+            return f"the start was called off: {others}"
         return "the start was called off: all vehicles are disarmed on the ground"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from bisect import bisect_left
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -12,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.flight_recorder import FlightRecorder, status_text
 from adapters.ground_station import Peer
-from adapters.mission_items import TAKEOFF, WAYPOINT, MissionItem, goal_seq, plan_items
+from adapters.mission_items import CHANGE_SPEED, TAKEOFF, WAYPOINT, MissionItem, goal_seq, plan_items
 from adapters.mission_protocol import Party
 from missionplanner.errors import LinkError
 from missionplanner.geodesy import FloatArray
@@ -21,7 +22,9 @@ from missionplanner.plan import FleetPlan, FlownVehicle, VehiclePlan
 from missionplanner.vehicle import Autopilot, VehicleClass
 
 Message = Any  # a pymavlink message: its classes are generated, and carry no types
-Order = Literal["auto", "hold", "land", "rtl"]
+Mode = Literal["auto", "hold", "land", "rtl"]
+Order = Literal["pause", "resume", "rtl", "land"]
+"""What an operator tells flying vehicles: to stop, to go on with their missions, to return, to land where they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,22 +43,31 @@ class VehicleStatus:
     silent_s: float  # since anything was heard
     text: str  # what the vehicle said last
     pace: Pace | None = None  # how it is doing against the plan, where that is watched
+    order: Order | None = None  # what it was last told and obeys
 
 
 _TEXT_FOR_S = 30.0  # a vehicle repeats what keeps it from arming
+_COMPLAINT = re.compile(r"PreArm|Arm:|Preflight", re.IGNORECASE)
+_COMPLAINTS_KEPT = 5
+UNHEARD_S = 5.0  # a heartbeat comes every second
 _LOST_S = 60.0
 _RETURNED_M = 90.0  # beyond its circle, within which a plane has come home
 
 _PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
-_POSITION_SENSORS = (
-    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
-    | mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL
-    | mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG
-    | mavlink.MAV_SYS_STATUS_SENSOR_GPS
-)
+_POSITION_SENSORS = {
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO: "gyroscope",
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_ACCEL: "accelerometer",
+    mavlink.MAV_SYS_STATUS_SENSOR_3D_MAG: "compass",
+    mavlink.MAV_SYS_STATUS_SENSOR_GPS: "GPS",
+}
+_ESTIMATES = {
+    mavlink.ESTIMATOR_ATTITUDE: "attitude",
+    mavlink.ESTIMATOR_VELOCITY_HORIZ: "velocity",
+    mavlink.ESTIMATOR_POS_HORIZ_ABS: "position",
+}
 # HEARTBEAT.custom_mode by what we want; "hold" is also the mode to be armed in, in which a copter stays on the ground.
 # ArduPlane has no mode that lands where it is: it returns. PX4 packs main and sub mode.
-MODES: dict[tuple[Autopilot, VehicleClass], dict[Order, int]] = {
+MODES: dict[tuple[Autopilot, VehicleClass], dict[Mode, int]] = {
     ("ardupilot", "copter"): {"hold": 4, "auto": 3, "land": 9, "rtl": 6},
     ("ardupilot", "plane"): {"hold": 12, "auto": 10, "land": 11, "rtl": 11},
     **{
@@ -92,10 +104,14 @@ class FleetVehicle(Peer):
         self._ekf_flags: int | None = None
         self._text = ""
         self._text_s = -math.inf
+        self._complaints: dict[str, float] = {}  # what keeps it from arming, in its own words, and when it said so last
         self._heard_s = -math.inf
         self._item_s = self._position_s = -math.inf
         self._velocity_m_s = np.zeros(3)
-        self._paused = False
+        self.paused = False  # stands in its mission, by its own word
+        self.order: Order | None = None  # obeyed last
+        self.left_item: int | None = None  # flown to when it was told to leave its mission
+        self.warned = False  # that its way back to its mission is not proven
         self._flown_to = [item.seq for item in self.items if item.command in (TAKEOFF, WAYPOINT)]
         if plan.autopilot == "ardupilot":
             del self._flown_to[0]  # home
@@ -108,22 +124,40 @@ class FleetVehicle(Peer):
     @property
     def ended(self) -> bool:
         """Whether it has done all that its plan asks."""
-        if self.recorder.landed or not self.recorder.reached_goal:
-            return self.recorder.landed
-        if self.plan.end == "loiter":
+        if self.recorder.landed:
+            return True
+        if self.order == "pause" or not (self.recorder.reached_goal or self._returns):
+            return False
+        if self.plan.end == "loiter" and not self._returns:
             return True
         # a plane that has returned circles above home until somebody lands it
         position_m = self.recorder.position_m
         return (
             self.plan.vehicle_class == "plane"
-            and self.plan.end == "rtl"
+            and (self.plan.end == "rtl" or self._returns)
             and position_m is not None
             and float(np.hypot(*(position_m - self.plan.home_m)[:2])) <= self.plan.motion.loiter_radius_m + _RETURNED_M
         )
 
-    def in_mode(self, order: Order) -> bool:
-        """Return whether it is in the mode that an order switches to."""
-        return self.custom_mode == self.modes[order]
+    @property
+    def speed_m_s(self) -> float:
+        """How fast it last said to be."""
+        return float(np.linalg.norm(self._velocity_m_s))
+
+    @property
+    def where(self) -> str:
+        """Where in its mission it is, for a sentence."""
+        item = self.current_item if self.left_item is None else self.left_item
+        return "before its first item" if item is None else f"at item {item} of {len(self.items) - 1}"
+
+    @property
+    def _returns(self) -> bool:
+        """Whether it obeys an order to return."""
+        return self.order in ("rtl", "land") and self.in_mode("rtl")
+
+    def in_mode(self, mode: Mode) -> bool:
+        """Return whether its last heartbeat says so."""
+        return self.custom_mode == self.modes[mode]
 
     def receive(self, message: Message, now_s: float) -> list[Message]:
         """Take one message of this vehicle and return what to answer."""
@@ -136,12 +170,16 @@ class FleetVehicle(Peer):
             case "MISSION_CURRENT":
                 self.current_item = message.seq
                 self._item_s = now_s
-                self._paused = message.mission_state == mavlink.MISSION_STATE_PAUSED
+                self.paused = message.mission_state == mavlink.MISSION_STATE_PAUSED
             case "GLOBAL_POSITION_INT":
                 self._position_s = now_s
                 self._velocity_m_s = np.array([message.vy, message.vx, -message.vz]) / 100.0  # north, east, down
             case "STATUSTEXT":
                 self._text, self._text_s = status_text(message), now_s
+                if message.severity <= mavlink.MAV_SEVERITY_WARNING or _COMPLAINT.match(self._text):
+                    self._complaints[self._text] = now_s
+                    while len(self._complaints) > _COMPLAINTS_KEPT:
+                        del self._complaints[min(self._complaints, key=self._complaints.__getitem__)]
         self.recorder.receive(message, now_s)
         return super().receive(message, now_s)
 
@@ -154,30 +192,41 @@ class FleetVehicle(Peer):
                 "the wrong vehicle, or correct the mission file and plan again; nothing was uploaded"
             )
 
-    def not_ready(self, now_s: float) -> str | None:
-        """Return what is missing until it can be armed, None if nothing."""
+    def lacks(self, now_s: float) -> tuple[str, ...]:
+        """Return what is missing until it can be armed, nothing if it is ready; with its own words in the end."""
+        if self.silent_s(now_s) > UNHEARD_S:
+            return (f"not heard for {self.silent_s(now_s):.0f} s",)
         status = self._status
         if status is None:
-            return "no SYS_STATUS"
+            return ("no SYS_STATUS",)
         present, health = status.onboard_control_sensors_present, status.onboard_control_sensors_health
         if self.recorder.position_m is None or not np.isfinite(self.recorder.position_m).all():
-            return "no position"
-        if present & _POSITION_SENSORS & ~health:
-            return f"gyroscope, accelerometer, compass or GPS not healthy{self.said(now_s)}"
-        wanted = mavlink.ESTIMATOR_ATTITUDE | mavlink.ESTIMATOR_VELOCITY_HORIZ | mavlink.ESTIMATOR_POS_HORIZ_ABS
-        if self._ekf_flags is not None and ~self._ekf_flags & wanted:
-            return f"its estimate of position is not healthy{self.said(now_s)}"
+            return ("no position",)
+        missing = [
+            f"{name} not healthy" for bit, name in _POSITION_SENSORS.items() if present & bit and not health & bit
+        ]
+        flags = self._ekf_flags
+        estimates = [name for bit, name in _ESTIMATES.items() if flags is not None and not flags & bit]
+        if estimates:
+            missing.append(f"its estimate of {', '.join(estimates)} is not healthy")
         if present & _PREARM and not health & _PREARM:
-            return f"pre-arm checks fail{self.said(now_s)}"
-        return None
+            missing.append("pre-arm checks fail")
+        if missing:
+            fresh = [text for text, text_s in self._complaints.items() if now_s - text_s <= _TEXT_FOR_S]
+            missing += [f'"{text}"' for text in fresh]
+        return tuple(missing)
 
     def said(self, now_s: float) -> str:
         """Return the vehicle's own last words in brackets, if they are fresh."""
         return f' ("{self._text}")' if self._text and now_s - self._text_s <= _TEXT_FOR_S else ""
 
+    def silent_s(self, now_s: float) -> float:
+        """Return how long ago it was heard last."""
+        return now_s - self._heard_s
+
     def lost(self, now_s: float) -> bool:
         """Return whether nothing more is to be expected of it."""
-        return now_s - self._heard_s > _LOST_S or self.recorder.rebooted
+        return self.silent_s(now_s) > _LOST_S or self.recorder.rebooted
 
     def failure(self, now_s: float) -> LinkError:
         """Return what to say of a vehicle that has not ended its mission."""
@@ -186,7 +235,7 @@ class FleetVehicle(Peer):
             return self.error(f"its autopilot restarted in flight, {where}")
         if self.lost(now_s):
             return self.error(
-                f"not heard for {now_s - self._heard_s:.0f} s, {where}; it flies on by itself: "
+                f"not heard for {self.silent_s(now_s):.0f} s, {where}; it flies on by itself: "
                 "watch for it at its goal or home"
             )
         return self.error(f"still flying long after its planned end, {where}: take over, or watch again")
@@ -203,7 +252,7 @@ class FleetVehicle(Peer):
             velocity_m_s=self._velocity_m_s,
             waypoint=waypoint,
             in_mission=self.armed and self.in_mode("auto"),
-            paused=self._paused,
+            paused=self.paused,
             age_s=now_s - min(self._item_s, self._position_s),
             arrival_s=self.recorder.arrival_s if self.recorder.reached_goal else None,
         )
@@ -220,10 +269,35 @@ class FleetVehicle(Peer):
             armed=self.armed,
             arrived=self.recorder.reached_goal,
             landed=self.recorder.landed,
-            silent_s=now_s - self._heard_s,
+            silent_s=self.silent_s(now_s),
             text=self._text,
             pace=pace,
+            order=self.order,
         )
+
+    @property
+    def speed_item(self) -> MissionItem | None:
+        """The item of its mission that has set the speed at which it flies to the present one; None: none has."""
+        at = self.current_item if self.left_item is None else self.left_item
+        before = self.items[:at] if at is not None else ()
+        return next((item for item in reversed(before) if item.command == CHANGE_SPEED), None)
+
+    def off_way_m(self) -> float:
+        """Return how far it is from the leg to the item that it was flying to; 0 where its way home begins anywhere."""
+        position_m = self.recorder.position_m
+        item = self.current_item if self.left_item is None else self.left_item
+        if position_m is None or item is None:
+            return math.inf
+        k = bisect_left(self._flown_to, item)
+        ways_m = np.vstack([self.plan.home_m, self.plan.waypoints_m])
+        if k == len(self._flown_to):
+            if self.plan.end == "rtl":
+                return 0.0
+            ground_m = np.array([*ways_m[-1, :2], self.plan.trajectory.position_m[-1, 2]])
+            ways_m = np.vstack([ways_m, ground_m if self.plan.end == "land" else ways_m[-1]])
+        from_m, leg_m = ways_m[k], ways_m[k + 1] - ways_m[k]
+        share = np.clip(np.dot(position_m - from_m, leg_m) / max(float(np.dot(leg_m, leg_m)), 1e-9), 0.0, 1.0)
+        return float(np.linalg.norm(position_m - from_m - share * leg_m))
 
     def reached_s(self, waypoint: int) -> float | None:
         """Return when a waypoint of its plan was reached, since the common start."""

@@ -48,6 +48,7 @@ class PaceKeeper:
     ) -> None:
         self.advice: Advice | None = None
         self.corrections: list[Correction] = []
+        self.muted = False  # while an operator has a say, nothing is commanded
         self._pacer = pacer
         self._station = station
         self._peers = peers
@@ -72,6 +73,16 @@ class PaceKeeper:
 
     def went_on(self, i: int) -> None:
         """Take note that vehicle i was let go on by somebody else."""
+        self._pacer.went_on(i)
+
+    def as_planned(self, i: int) -> None:
+        """Take note that vehicle i was told its planned speed by somebody else."""
+        self._pacer.as_planned(i)
+
+    def give_up(self, i: int) -> None:
+        """Leave vehicle i to somebody else's orders: command it nothing more now, nor that it goes on later."""
+        if self._commands.pop(i, None) is not None:
+            self._peers[i].command = None
         self._pacer.went_on(i)
 
     def stop_no_more(self) -> None:
@@ -124,7 +135,7 @@ class PaceKeeper:
             if remark not in self._remarks:
                 self._say(remark, now_s)
         self._remarks = advice.remarks
-        for trim in advice.trims:
+        for trim in () if self.muted else advice.trims:
             self._commands[trim.vehicle] = self._commanding(trim)
 
     def _commanding(self, trim: Trim) -> Steps:

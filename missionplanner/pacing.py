@@ -654,6 +654,12 @@ class Pacer:
         """Take note that a stopped vehicle was let go on."""
         self._tracked[vehicle].stopped_s = self._tracked[vehicle].overdue_s = None
 
+    def as_planned(self, vehicle: int) -> None:
+        """Take note that a vehicle was told its planned speed, after it had left its mission and come back."""
+        tracked = self._tracked[vehicle]
+        tracked.factor, tracked.lost, tracked.before = 1.0, False, None
+        tracked.factor_leg = 0 if tracked.place is None else min(tracked.place.leg, len(tracked.course.speed_m_s))
+
     def ground(self, vehicle: int) -> None:
         """Take note that a vehicle will not start any more: nobody waits for it, but it stands in the way."""
         self._tracked[vehicle].grounded = True

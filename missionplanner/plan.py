@@ -160,6 +160,20 @@ class FlownMeeting:
         return max(known) - min(known) if len(known) == len(self.times_s) else None
 
 
+OrderResult = Literal["obeyed", "refused", "silent", "grounded"]
+
+
+@dataclass(frozen=True, slots=True)
+class Ordered:
+    """What came of an operator's order to one vehicle; ``words`` say it as a whole."""
+
+    vehicle: str
+    order: Literal["pause", "resume", "rtl", "land"]
+    t_s: float | None  # since the fleet's common start; None: before any position of it
+    result: OrderResult  # silent: it did not answer; grounded: it did not fly
+    words: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetFlight:
     """A recorded flight of a fleet plan."""
@@ -167,6 +181,7 @@ class FleetFlight:
     vehicles: tuple[FlownVehicle, ...]
     corrections: tuple[Correction, ...] = ()
     meetings: tuple[FlownMeeting, ...] = ()  # where it was watched
+    orders: tuple[Ordered, ...] = ()  # in the order in which they were given
 
     @property
     def arrival_spread_s(self) -> float | None:

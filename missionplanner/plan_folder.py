@@ -33,6 +33,8 @@ from missionplanner.plan import (
     FlownMeeting,
     FlownVehicle,
     Lateness,
+    Ordered,
+    OrderResult,
     Resolution,
     Trajectory,
     VehiclePlan,
@@ -144,6 +146,14 @@ class _MeetingRecord(_Record):
     times_s: dict[str, float | None]
 
 
+class _OrderedRecord(_Record):
+    vehicle: str
+    order: Literal["pause", "resume", "rtl", "land"]
+    t_s: float | None
+    result: OrderResult
+    words: str
+
+
 class _FlightRecord(_Record):
     format: Literal["missionplanner-flight"]
     version: Literal[1]
@@ -151,6 +161,7 @@ class _FlightRecord(_Record):
     vehicles: tuple[_FlownRecord, ...]
     corrections: tuple[_CorrectionRecord, ...] = ()
     meetings: tuple[_MeetingRecord, ...] = ()
+    orders: tuple[_OrderedRecord, ...] = ()
 
 
 class _CertificateRecord(_Record):
@@ -266,6 +277,7 @@ def save_flight(folder: Path, flight: FleetFlight, *, unproven: bool = False) ->
         ],
         "corrections": [asdict(correction) for correction in flight.corrections],
         "meetings": [asdict(meeting) for meeting in flight.meetings],
+        "orders": [asdict(ordered) for ordered in flight.orders],
     }
     path = folder / FLIGHT_NAME
     write_atomic(path, json.dumps(document, allow_nan=False) + "\n")
@@ -309,6 +321,7 @@ def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
         ),
         tuple(Correction(**correction.model_dump()) for correction in record.corrections),
         tuple(FlownMeeting(meeting.name, meeting.times_s) for meeting in record.meetings),
+        tuple(Ordered(**ordered.model_dump()) for ordered in record.orders),
     )
 
 

@@ -1,0 +1,320 @@
+"""A fleet in flight: orders, gaps in what is heard, and what is said of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.fleet_flight import Request
+from adapters.fleet_vehicle import Order
+from adapters.telemetry_log import FleetLog, read_log
+from missionplanner.errors import LinkError
+from missionplanner.plan import FleetPlan, Ordered
+from missionplanner.vehicle import Autopilot
+from tests.plans import fleet_plan, small_fleet, vehicle_plan
+from tests.rig import Rig
+
+
+class Script:
+    """An operator who gives orders at times after the watch began; each once the one before is answered."""
+
+    def __init__(self, rig: Rig, *steps: tuple[float, Order, tuple[str, ...]]) -> None:
+        self.answers: list[Sequence[Ordered]] = []
+        self._rig = rig
+        self._steps = list(steps)
+        self._begun_s = rig.clock.now_s()
+
+    def request(self) -> Request | None:
+        if self._steps and self._rig.clock.now_s() - self._begun_s >= self._steps[0][0]:
+            _, order, names = self._steps.pop(0)
+            return Request(order, frozenset(names))
+        return None
+
+    def answer(self, outcomes: Sequence[Ordered]) -> None:
+        self.answers.append(outcomes)
+
+
+def started(plan: FleetPlan, **options: Any) -> Rig:
+    rig = Rig(plan, **options)
+    rig.upload()
+    rig.link.set_returns()
+    rig.link.start()
+    return rig
+
+
+def results(outcomes: Sequence[Ordered]) -> list[tuple[str, str]]:
+    return [(outcome.vehicle, outcome.result) for outcome in outcomes]
+
+
+def long_legs(autopilot: Autopilot, count: int = 2) -> FleetPlan:
+    """Vehicles whose second leg is set another speed than their first."""
+    return fleet_plan(
+        *(
+            replace(
+                vehicle_plan(
+                    f"uav{k}",
+                    k,
+                    autopilot=autopilot,
+                    home_m=(0.0, 60.0 * k, 1200.0),
+                    waypoints_m=((0, 60 * k, 1225), (100, 60 * k, 1225), (400, 60 * k, 1225)),
+                ),
+                speeds_m_s=np.array([7.0, 4.0]),
+            )
+            for k in range(1, count + 1)
+        )
+    )
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_who_is_paused_stands_and_then_goes_on_to_the_right_item_at_the_right_speed(autopilot: Autopilot) -> None:
+    plan = long_legs(autopilot)
+    rig = started(plan)
+    script = Script(rig, (45.0, "pause", ()), (75.0, "resume", ()))
+    told: list[str] = []
+    flight = rig.link.watch(tell=told.append, helm=script)
+    assert [results(outcomes) for outcomes in script.answers] == [[("uav1", "obeyed"), ("uav2", "obeyed")]] * 2
+    for vehicle, flown in zip(plan.vehicles, flight.vehicles, strict=True):
+        track = flown.trajectory
+        assert np.linalg.norm(track.at(60.0) - track.at(74.0)) < 0.2
+        assert flown.landed_s is not None
+        for waypoint_m in vehicle.waypoints_m:
+            assert np.min(np.linalg.norm(track.position_m - waypoint_m, axis=1)) <= 3.0
+        off_m = np.abs(track.position_m[:, 1] - vehicle.home_m[1])
+        assert np.max(off_m) < 1.0  # and never another way
+        moving = np.linalg.norm(track.at(95.0) - track.at(90.0)) / 5.0
+        assert moving == pytest.approx(4.0, abs=0.2)  # as its mission has set it there, not the parameter's
+    assert any("was proven for the planned times only" in line for line in told)
+    assert [ordered.order for ordered in flight.orders] == ["pause", "pause", "resume", "resume"]
+
+
+def test_a_restart_of_missions_on_the_vehicle_does_not_send_it_back() -> None:
+    """As ArduPilot does with MIS_RESTART = 1, where the mode is entered without its item being set before."""
+    rig = started(long_legs("px4", 1))
+    autopilot = rig.sim.links[0].autopilot
+    set_mode = autopilot.set_mode
+
+    def restarting(mode: Any, now_s: float) -> int:
+        result = set_mode(mode, now_s)
+        if autopilot.flying_mission:
+            autopilot.set_current(0, now_s)
+        return result
+
+    autopilot.set_mode = restarting  # type: ignore[method-assign]
+    script = Script(rig, (45.0, "pause", ()), (60.0, "resume", ()))
+    flight = rig.link.watch(helm=script)
+    assert results(script.answers[1]) == [("uav1", "obeyed")]
+    track = flight.vehicles[0].trajectory
+    after = track.position_m[track.t_s > 70.0]
+    assert np.min(after[:, 0]) > 150.0  # it did not fly back to its first waypoint, 0
+
+
+def test_one_alone_is_paused_and_the_others_fly_on() -> None:
+    rig = started(small_fleet("ardupilot", 2))
+    script = Script(rig, (15.0, "pause", ("uav2",)), (60.0, "resume", ("uav2",)))
+    flight = rig.link.watch(helm=script)
+    assert [results(outcomes) for outcomes in script.answers] == [[("uav2", "obeyed")]] * 2
+    first, second = flight.vehicles
+    assert first.landed_s is not None
+    assert second.landed_s is not None
+    assert second.landed_s - first.landed_s == pytest.approx(45.0, abs=3.0)
+
+
+def test_a_pause_is_not_taken_for_a_flight_that_never_ends() -> None:
+    rig = started(small_fleet("px4", 1))
+    script = Script(rig, (15.0, "pause", ()), (900.0, "resume", ()))
+    assert rig.link.watch(helm=script).vehicles[0].landed_s is not None
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize("order", ["rtl", "land"])
+def test_all_return_or_land_when_told(autopilot: Autopilot, order: Order) -> None:
+    plan = small_fleet(autopilot, 2)
+    rig = started(plan)
+    script = Script(rig, (26.0, order, ()))
+    flight = rig.link.watch(helm=script)
+    assert results(script.answers[0]) == [("uav1", "obeyed"), ("uav2", "obeyed")]
+    for vehicle, flown in zip(plan.vehicles, flight.vehicles, strict=True):
+        away_m = np.linalg.norm((flown.trajectory.position_m[-1] - vehicle.home_m)[:2])
+        assert (away_m < 1.0) == (order == "rtl")
+        assert flown.landed_s is not None
+
+
+def test_planes_told_to_land_return_and_that_is_said() -> None:
+    plane = vehicle_plan(
+        vehicle_class="plane", end="loiter", waypoints_m=((0, 0, 1260), (800, 0, 1260), (1600, 0, 1260))
+    )
+    rig = started(fleet_plan(replace(plane, speeds_m_s=np.full(2, 18.0))))
+    script = Script(rig, (40.0, "land", ()))
+    flight = rig.link.watch(helm=script)
+    assert "planes do not land where they are" in script.answers[0][0].words
+    assert np.linalg.norm((flight.vehicles[0].trajectory.position_m[-1])[:2]) < 160.0
+
+
+def test_a_way_back_that_is_not_proven_is_flown_only_when_asked_for_twice() -> None:
+    rig = started(long_legs("px4", 1))
+    script = Script(rig, (40.0, "rtl", ()), (52.0, "resume", ()), (54.0, "resume", ()))
+    flight = rig.link.watch(helm=script)
+    _, first, second = script.answers
+    assert first[0].result == "refused"
+    assert "the way there is not proven" in first[0].words
+    assert second[0].result == "obeyed"
+    assert "not proven" in second[0].words
+    assert np.linalg.norm(flight.vehicles[0].trajectory.position_m[-1, :2] - [400, 60]) < 1.0
+
+
+def lose(kinds: Callable[[Any], bool]) -> Callable[[Any], Any]:
+    return lambda message: None if kinds(message) else message
+
+
+def test_who_does_not_answer_is_named_and_the_others_obey() -> None:
+    rig = started(small_fleet("ardupilot", 3))
+    rig.sim.advance(15.0)
+    rig.pipes[1].up = lambda _message: None
+    outcomes = rig.link.order("rtl")
+    assert results(outcomes) == [("uav1", "obeyed"), ("uav2", "silent"), ("uav3", "obeyed")]
+    assert "whether it obeys is not known; take over by hand" in outcomes[1].words
+
+
+def test_an_answer_is_not_believed_before_a_heartbeat_shows_it() -> None:
+    rig = started(small_fleet("px4", 1))
+    rig.sim.advance(15.0)
+
+    def ignored(message: Any) -> Any:
+        if message.get_type() == "COMMAND_ACK":
+            message.command, message.result = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_RESULT_ACCEPTED
+        return message
+
+    def unheeded(message: Any) -> Any:
+        if message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_DO_SET_MODE:
+            message.command = 31_999
+        return message
+
+    rig.pipes[0].down, rig.pipes[0].up = ignored, unheeded
+    (outcome,) = rig.link.order("rtl")
+    assert outcome.result == "refused"
+    assert "accepted, but is in mode" in outcome.words
+
+
+def test_a_copter_that_cannot_pause_in_its_mission_is_held_and_resumes_all_the_same() -> None:
+    """ArduCopter before 4.2, or in its take-off."""
+    rig = started(long_legs("ardupilot", 1))
+    pipe = rig.pipes[0]
+
+    def refuse(message: Any) -> Any:
+        if message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_DO_PAUSE_CONTINUE:
+            message.command = 31_998
+        return message
+
+    def refused(message: Any) -> Any:
+        if message.get_type() == "COMMAND_ACK" and message.command == 31_998:
+            message.command = mavlink.MAV_CMD_DO_PAUSE_CONTINUE
+        return message
+
+    pipe.up, pipe.down = refuse, refused
+    script = Script(rig, (45.0, "pause", ()), (65.0, "resume", ()))
+    flight = rig.link.watch(helm=script)
+    assert [results(outcomes) for outcomes in script.answers] == [[("uav1", "obeyed")]] * 2
+    assert "at 4.00 m/s" in script.answers[1][0].words
+    track = flight.vehicles[0].trajectory
+    assert np.linalg.norm(track.at(85.0) - track.at(80.0)) / 5.0 == pytest.approx(4.0, abs=0.2)
+
+
+def delayed() -> FleetPlan:
+    """The second starts 25 s after the first."""
+    first = vehicle_plan("first", 1, waypoints_m=((0, 0, 1230), (240, 0, 1244.5), (480, 0, 1244.5)))
+    second = vehicle_plan(
+        "second", 2, start_delay_s=25.0, home_m=(0, 60, 1200), waypoints_m=((0, 60, 1230), (240, 60, 1244.5))
+    )
+    return fleet_plan(first, second)
+
+
+@pytest.mark.parametrize("at_s", [12.0, 22.5])  # before it is armed, and when it is
+def test_a_later_start_is_put_off_by_a_pause(at_s: float) -> None:
+    rig = started(delayed())
+    script = Script(rig, (at_s, "pause", ()), (at_s + 40.0, "resume", ()))
+    flight = rig.link.watch(helm=script)
+    assert results(script.answers[0]) == [("first", "obeyed"), ("second", "grounded")]
+    second = flight.vehicles[1].trajectory
+    lifted_s = float(second.t_s[np.argmax(second.position_m[:, 2] > 1202.0)])
+    assert lifted_s == pytest.approx(67.0, abs=4.0)
+    assert flight.vehicles[1].landed_s is not None
+
+
+@pytest.mark.parametrize("at_s", [12.0, 22.5])
+def test_who_is_told_to_return_before_it_has_started_does_not_start(at_s: float) -> None:
+    rig = started(delayed())
+    script = Script(rig, (at_s, "rtl", ()))
+    with pytest.raises(
+        LinkError, match=r"second \(sysid 2\): was told to rtl before its start: it stays on the ground"
+    ):
+        rig.link.watch(helm=script)
+    assert results(script.answers[0]) == [("first", "obeyed"), ("second", "grounded")]
+    assert rig.armed() == [False, False]
+
+
+def test_a_gap_is_told_and_the_log_goes_on_after_it(tmp_path: Path) -> None:
+    with FleetLog(tmp_path, {1: "uav1"}, 1.7e9) as log:
+        rig = started(small_fleet("ardupilot", 1), log=log)
+        begun_s = rig.clock.now_s()
+        rig.pipes[0].down = lambda message: None if 15.0 <= rig.clock.now_s() - begun_s <= 35.0 else message
+        told: list[str] = []
+        flight = rig.link.watch(tell=told.append)
+    assert flight.vehicles[0].landed_s is not None
+    lost, back = [line for line in told if "heard" in line]
+    assert lost.startswith("uav1: not heard for 5 s, at item ")
+    assert lost.endswith("it flies on by itself")
+    assert back.startswith("uav1: heard again, at item ")
+    records = read_log(tmp_path / "uav1.tlog").records
+    times = np.array([t for t, m in records if m.get_srcSystem() == 1]) - 1.7e9 - begun_s
+    assert np.all(np.diff(times) >= 0.0)
+    assert not np.any((times > 15.1) & (times < 34.9))
+    assert np.sum(times > 35.0) > 50
+    notes = [m.text for _, m in records if m.get_type() == "STATUSTEXT" and m.get_srcSystem() == 255]
+    assert any("heard again" in note for note in notes)
+
+
+def test_what_a_vehicle_lacks_is_told_in_full() -> None:
+    rig = Rig(small_fleet("ardupilot", 1))
+    gps_and_arming = mavlink.MAV_SYS_STATUS_SENSOR_GPS | mavlink.MAV_SYS_STATUS_PREARM_CHECK
+
+    def unhealthy(message: Any) -> Any:
+        if message.get_type() == "SYS_STATUS":
+            message.onboard_control_sensors_present |= gps_and_arming
+            message.onboard_control_sensors_health &= ~gps_and_arming
+        if message.get_type() == "ATTITUDE":
+            return mavlink.MAVLink_statustext_message(4, b"PreArm: Battery 1 low voltage failsafe")
+        return message
+
+    rig.pipes[0].down = unhealthy
+    rig.upload()
+    said: list[tuple[str, str]] = []
+    with pytest.raises(LinkError, match="not ready to arm within 10 s: GPS not healthy; pre-arm checks fail"):
+        rig.link.start(lambda *args: said.append(args), ready_timeout_s=10.0)
+    assert any("GPS not healthy; pre-arm checks fail" in missing for _, missing in said)
+
+
+def test_one_that_vanishes_in_mid_start_leaves_a_fleet_whose_state_is_said() -> None:
+    rig = Rig(small_fleet("ardupilot", 3))
+    rig.upload()
+
+    def vanish(message: Any) -> Any:
+        if message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_MISSION_START:
+            rig.pipes[1].down = lambda _message: None
+        return message
+
+    rig.pipes[1].up = vanish
+    with pytest.raises(LinkError) as error:
+        rig.link.start()
+    said = str(error.value)
+    assert "uav2 (sysid 2): expected an answer to MISSION_START, got none" in said
+    assert "uav2 did not answer and may be flying: take over by hand" in said
+    assert "the others are disarmed on the ground" in said
+    assert "\n" not in said
+    rig.sim.advance(60.0)
+    assert [link.autopilot.landed for link in rig.sim.links][0::2] == [True, True]
