@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from functools import cache, reduce
@@ -299,6 +300,12 @@ class Energy(Model):
     mass_kg: Positive = Field(description="as it takes off")
 
 
+class RallyPoint(Place):
+    """A place to return to instead of home, where that is nearer."""
+
+    height_above_home_m: Positive = Field(description="at which the vehicle arrives there, above its home")
+
+
 class VehicleSettings(Model):
     """What ``defaults`` and every vehicle may set."""
 
@@ -332,6 +339,11 @@ class VehicleSettings(Model):
     )
     end: Literal["land", "rtl", "loiter"] | None = Field(
         None, description="at the goal: land there (copters), return home, or stay; default: copter land, plane loiter"
+    )
+    rally: tuple[RallyPoint, ...] = Field(
+        (),
+        description="places to return to instead of home; the ways there are not proven: they need "
+        "fleet.direct_return: waived",
     )
     motion: Motion = Motion()
     parameters: dict[str, Number] = Field(
@@ -391,6 +403,9 @@ class VehicleSettings(Model):
         return None
 
 
+_UID = r"([0-9a-fA-F]{16}|[0-9a-fA-F]{36})"
+
+
 class Vehicle(VehicleSettings):
     """One vehicle: from home straight up, through ``start``, ``stops`` and towers, to ``goal``."""
 
@@ -398,11 +413,24 @@ class Vehicle(VehicleSettings):
     sysid: Annotated[int, Strict(), Field(ge=1, le=250)] | None = Field(
         None, description="default: its place in the list"
     )
+    uid: str | None = Field(
+        None,
+        description="unique id of its autopilot, in hexadecimal digits (AUTOPILOT_VERSION: 36 of uid2, or 16 of uid): "
+        "no other gets its mission; the command parameters tells it",
+        json_schema_extra={"pattern": f"^{_UID}$"},
+    )
     home: Place | None = Field(None, description="default: on the ground below start")
     start: Point | None = None
     stops: tuple[Point, ...] = ()
     inspects: TowerRange | None = None
     goal: Point
+
+    @field_validator("uid")
+    @classmethod
+    def _a_unique_id(cls, uid: str | None) -> str | None:
+        if uid is not None and not re.fullmatch(_UID, uid):
+            raise ValueError(f"expected 16 or 36 hexadecimal digits, got {_shown(uid)}")
+        return None if uid is None else uid.lower()
 
     @model_validator(mode="after")
     def _has_a_beginning(self) -> Vehicle:
@@ -454,6 +482,14 @@ class Fleet(Model):
         "start_later", description="how those get later who would be too early even at their least speed"
     )
     launch_interval_s: UpToADay = Field(0.0, description="vehicle i starts at least i times this later")
+    home_within_m: Positive | None = Field(
+        None,
+        description="how far from its planned home a vehicle may stand to be started; default, and at most: the radius "
+        "of its tube",
+    )
+    send_fence: Flag = Field(
+        True, description="whether vehicles are sent the fence, and the no-fly areas that they never cross"
+    )
     lateness_s: UpToADay = Field(
         0.0, description="all keep apart also when any one of them is up to this much early or late"
     )
@@ -609,6 +645,7 @@ class Mission(Model):
         solids: dict[Location, str] = {("obstacles", i): o.name for i, o in enumerate(self.obstacles)}
         _expect_unique("name", solids | {("inspection", "towers", i): t.name for i, t in enumerate(towers)})
         _expect_unique("sysid", {("vehicles", i): v.sysid or i + 1 for i, v in enumerate(self.vehicles)})
+        _expect_unique("uid", {("vehicles", i): v.uid for i, v in enumerate(self.vehicles) if v.uid is not None})
         return self
 
     @model_validator(mode="after")
@@ -619,6 +656,22 @@ class Mission(Model):
                 "raise it, or leave it out"
             )
             raise _error_at(("wind_max_m_s",), problem)
+        return self
+
+    @model_validator(mode="after")
+    def _rally_points_are_known_to_be_unproven(self) -> Mission:
+        for i, vehicle in enumerate(self.vehicles):
+            if not vehicle.rally:
+                continue
+            if self.fleet.direct_return != "waived":
+                problem = (
+                    "expected fleet.direct_return: waived with it, since ways to rally points are not proven, "
+                    "got 'required'"
+                )
+                raise _error_at(("vehicles", i, "rally"), problem)
+            if vehicle.end == "rtl":
+                problem = "expected land or loiter with rally points, got 'rtl': it may end at one of them instead"
+                raise _error_at(("vehicles", i, "end"), problem)
         return self
 
     @model_validator(mode="after")

@@ -330,3 +330,57 @@ def test_one_top_is_enough() -> None:
 def test_a_name_cannot_lead_elsewhere(name: str) -> None:
     with pytest.raises(MissionError, match="name"):
         parse_mission(SMALL.replace("name: small", f"name: {name!r}", 1), "x.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (
+            "name: alpha",
+            "name: alpha\n    uid: 12ab",
+            "vehicles[0].uid: expected 16 or 36 hexadecimal digits, got '12ab'",
+        ),
+        (
+            "name: alpha",
+            f"name: alpha\n    uid: '{'0' * 35}g'",
+            "vehicles[0].uid: expected 16 or 36 hexadecimal digits",
+        ),
+        (
+            "name: alpha",
+            "name: alpha\n    uid: 1234567890123456",
+            "expected text, got 1234567890123456: put it in quotes",
+        ),
+        (
+            "name: alpha",
+            "name: alpha\n    rally: [{x_m: 10, y_m: 20, height_above_home_m: 30}]",
+            "vehicles[0].rally: expected fleet.direct_return: waived with it",
+        ),
+        (
+            "name: alpha",
+            "name: alpha\n    end: rtl\n    rally: [{x_m: 10, y_m: 20, height_above_home_m: 30}]",
+            "vehicles[0].rally",
+        ),
+        ("name: alpha", "name: alpha\n    rally: [{x_m: 10, y_m: 20}]", "rally[0].height_above_home_m: expected"),
+        ("vehicles:", "fleet: {home_within_m: 0}\nvehicles:", "fleet.home_within_m: expected a number above 0"),
+    ],
+)
+def test_what_binds_a_vehicle_is_checked(old: str, new: str, told: str) -> None:
+    with pytest.raises(MissionError) as error:
+        parse_mission(SMALL.replace(old, new, 1), "small.yaml")
+    assert told in str(error.value)
+
+
+def test_one_autopilot_is_bound_to_one_vehicle() -> None:
+    bound = SMALL.replace("name: alpha", "name: alpha\n    uid: 00112233445566AA", 1)
+    assert parse_mission(bound, "small.yaml").vehicles[0].uid == "00112233445566aa"
+    twice = bound.replace("name: bravo", "name: bravo\n    uid: 00112233445566aa", 1)
+    with pytest.raises(MissionError, match=r"vehicles\[1\].uid: expected a uid of its own"):
+        parse_mission(twice, "small.yaml")
+
+
+def test_rally_points_need_a_return_that_is_waived() -> None:
+    point = "rally: [{x_m: 10, y_m: 20, height_above_home_m: 30}]"
+    waived = SMALL.replace("defaults:", f"fleet: {{direct_return: waived}}\ndefaults:\n  {point}", 1)
+    assert [len(v.rally) for v in parse_mission(waived, "small.yaml").vehicles] == [1, 1]
+    with pytest.raises(MissionError, match=r"vehicles\[0\].end: expected land or loiter with rally points"):
+        parse_mission(waived.replace("name: alpha", "name: alpha\n    end: rtl", 1), "small.yaml")
