@@ -244,14 +244,19 @@ class Autopilot:
         self._enter(mode, now_s)
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
-    def start_mission(self, now_s: float) -> int:
-        """Obey MISSION_START. ArduPilot accepts it while disarmed, and then nothing happens; PX4 arms."""
+    def start_mission(self, now_s: float, first: int | None = None) -> int:
+        """Obey MISSION_START from item ``first`` (None: the current one).
+
+        ArduPilot accepts it while disarmed, and then nothing happens; PX4 arms.
+        """
         if not self._mission_may_start():
             return self.personality.refusal
         if self.personality.start_arms and not self.armed:
             result = self.arm(now_s)
             if result != mavlink.MAV_RESULT_ACCEPTED:
                 return result
+        if first is not None and first != self.current:
+            self.set_current(first, now_s)
         self._auto_armed = self.armed
         if not (self.flying_mission and self._stage is not None):
             self.mode = self.personality.mode_for(Behaviour.AUTO)

@@ -141,9 +141,9 @@ class MissionService:
         self._ready_s = now_s + self._personality.storage_ready_s
 
     def items(self, mission_type: int = _MISSION) -> tuple[MissionItem, ...]:
-        """Return what the vehicle holds, as it would read back."""
-        store = self._stores[mission_type]
-        return tuple(self._read(mission_type, seq) for seq in range(len(store)))
+        """Return what the vehicle holds, as it reads back in MISSION_ITEM_INTs."""
+        read = (self._read(mission_type, seq) for seq in range(len(self._stores[mission_type])))
+        return tuple(replace(item, frame=self._personality.frame_read(item.frame)) for item in read)
 
     def receive(self, message: Any, link: Link, now_s: float) -> list[Outgoing]:
         """Answer one message of the mission protocol that is meant for this vehicle."""

@@ -85,7 +85,8 @@ class Personality:
     integers_bytewise: bool  # PARAM_VALUE carries integers by their bytes (PX4), else converted to float
     one_reached_slot: bool  # only the last of several items completed at one instant is reported
     announces_items: bool  # STATUSTEXT for each item begun and each waypoint reached
-    start_arms: bool  # MISSION_START arms
+    start_arms: bool  # MISSION_START arms, and begins at the item it names; else it may name none
+    answers: Mapping[int, int | None]  # MAV_RESULT of commands without effect here; None: real ones stay silent too
     takeoff_needs_flight_mode: bool  # NAV_TAKEOFF only in GUIDED (ArduPilot), else it switches mode itself (PX4)
     speed_resets: bool  # DO_CHANGE_SPEED <= 0 restores the default (PX4), else it is ignored
     speed_min_m_s: float  # smaller commanded speeds are ignored
@@ -474,6 +475,56 @@ def _px4_plane_return_height_m(parameters: Mapping[str, int | float], height_m: 
     return min(float(parameters["RTL_DESCEND_ALT"]), max(float(parameters["RTL_RETURN_ALT"]), height_m))
 
 
+_ACCEPTED, _FAILED = int(mavlink.MAV_RESULT_ACCEPTED), int(mavlink.MAV_RESULT_FAILED)
+_DENIED = int(mavlink.MAV_RESULT_DENIED)
+_BOTH_ANSWER: dict[int, int | None] = {
+    mavlink.MAV_CMD_DO_SET_ROI: _ACCEPTED,
+    mavlink.MAV_CMD_DO_SET_ROI_LOCATION: _ACCEPTED,
+    mavlink.MAV_CMD_DO_SET_ROI_NONE: _ACCEPTED,
+    mavlink.MAV_CMD_PREFLIGHT_CALIBRATION: _ACCEPTED,
+    mavlink.MAV_CMD_PREFLIGHT_STORAGE: _ACCEPTED,
+    mavlink.MAV_CMD_RUN_PREARM_CHECKS: _ACCEPTED,
+}
+# AP_Camera::handle_command without a camera
+_ARDUPILOT_ANSWERS: Mapping[int, int | None] = MappingProxyType(
+    {
+        **_BOTH_ANSWER,
+        mavlink.MAV_CMD_DO_SET_SERVO: _ACCEPTED,
+        mavlink.MAV_CMD_DO_SET_RELAY: _ACCEPTED,
+        mavlink.MAV_CMD_DO_FENCE_ENABLE: _ACCEPTED,
+        mavlink.MAV_CMD_CONDITION_YAW: _ACCEPTED,
+        mavlink.MAV_CMD_DO_LAND_START: _FAILED,
+        mavlink.MAV_CMD_DO_DIGICAM_CONFIGURE: _ACCEPTED,
+        mavlink.MAV_CMD_DO_DIGICAM_CONTROL: _ACCEPTED,
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST: _ACCEPTED,
+        mavlink.MAV_CMD_IMAGE_START_CAPTURE: _FAILED,
+        mavlink.MAV_CMD_IMAGE_STOP_CAPTURE: _ACCEPTED,
+        mavlink.MAV_CMD_VIDEO_START_CAPTURE: _FAILED,
+        mavlink.MAV_CMD_VIDEO_STOP_CAPTURE: _FAILED,
+        mavlink.MAV_CMD_SET_CAMERA_ZOOM: _DENIED,
+        mavlink.MAV_CMD_SET_CAMERA_FOCUS: _DENIED,
+        mavlink.MAV_CMD_SET_CAMERA_SOURCE: _DENIED,
+    }
+)
+# PX4's Commander leaves these to drivers of cameras and gimbals; where there is none, nobody answers
+_PX4_ANSWERS: Mapping[int, int | None] = MappingProxyType(
+    {
+        **_BOTH_ANSWER,
+        mavlink.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET: _ACCEPTED,
+        mavlink.MAV_CMD_NAV_DELAY: None,
+        mavlink.MAV_CMD_DO_GO_AROUND: None,
+        mavlink.MAV_CMD_DO_DIGICAM_CONTROL: None,
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST: None,
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL: None,
+        mavlink.MAV_CMD_DO_TRIGGER_CONTROL: None,
+        mavlink.MAV_CMD_SET_CAMERA_MODE: None,
+        mavlink.MAV_CMD_SET_CAMERA_ZOOM: None,
+        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: None,
+        mavlink.MAV_CMD_DO_WINCH: None,
+        mavlink.MAV_CMD_DO_GRIPPER: None,
+    }
+)
+
 _ARDUCOPTER = Personality(
     autopilot="ardupilot",
     vehicle_class="copter",
@@ -491,6 +542,7 @@ _ARDUCOPTER = Personality(
     one_reached_slot=True,
     announces_items=True,
     start_arms=False,
+    answers=_ARDUPILOT_ANSWERS,
     takeoff_needs_flight_mode=True,
     speed_resets=False,
     speed_min_m_s=0.2,
@@ -550,6 +602,7 @@ _PX4_COPTER = Personality(
     one_reached_slot=False,
     announces_items=False,
     start_arms=True,
+    answers=_PX4_ANSWERS,
     takeoff_needs_flight_mode=False,
     speed_resets=True,
     speed_min_m_s=0.0,

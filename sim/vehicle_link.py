@@ -50,21 +50,6 @@ _MISSION_MESSAGES = (
     mavlink.MAVLink_mission_request_message,
     mavlink.MAVLink_mission_clear_all_message,
 )
-# accepted and without effect on a simulated vehicle
-_HARMLESS = frozenset(
-    {
-        mavlink.MAV_CMD_DO_SET_ROI,
-        mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
-        mavlink.MAV_CMD_DO_SET_ROI_NONE,
-        mavlink.MAV_CMD_DO_SET_SERVO,
-        mavlink.MAV_CMD_DO_SET_RELAY,
-        mavlink.MAV_CMD_DO_FENCE_ENABLE,
-        mavlink.MAV_CMD_CONDITION_YAW,
-        mavlink.MAV_CMD_PREFLIGHT_CALIBRATION,
-        mavlink.MAV_CMD_PREFLIGHT_STORAGE,
-        mavlink.MAV_CMD_RUN_PREARM_CHECKS,
-    }
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,9 +328,11 @@ class VehicleLink:
         handler = self._commands.get(command.number)
         replies: list[Any] = []
         if handler is not None:
-            result = handler(command, now_s, replies)
+            result: int | None = handler(command, now_s, replies)
         else:
-            result = _ACCEPTED if command.number in _HARMLESS else _UNSUPPORTED
+            result = self.autopilot.personality.answers.get(command.number, _UNSUPPORTED)
+        if result is None:
+            return []
         ack = mavlink.MAVLink_command_ack_message(command.number, result, 0, 0, *_sender(message))
         return [(command.link, ack), *((command.link, reply) for reply in replies)]
 
@@ -390,8 +377,13 @@ class VehicleLink:
         return self._change_mode(custom_mode, now_s)
 
     def _do_mission_start(self, command: _Command, now_s: float, replies: list[Any]) -> int:
-        del command, replies
-        return self.autopilot.start_mission(now_s)
+        del replies
+        first, last = command.params[:2]
+        if not self.autopilot.personality.start_arms:  # ArduPilot begins where it will, and takes no range of items
+            return _DENIED if first != 0.0 or last != 0.0 else self.autopilot.start_mission(now_s)
+        if not -1.0 <= first < max(len(self.autopilot.mission), 1):
+            return _DENIED
+        return self.autopilot.start_mission(now_s, int(first) if first >= 0.0 else None)
 
     def _do_takeoff(self, command: _Command, now_s: float, replies: list[Any]) -> int:
         del replies
@@ -445,7 +437,7 @@ class VehicleLink:
     def _do_set_mission_current(self, command: _Command, now_s: float, replies: list[Any]) -> int:
         seq = command.params[0]
         if not math.isfinite(seq) or not self.autopilot.set_current(int(seq), now_s):
-            return _FAILED if self.autopilot.personality.autopilot == "ardupilot" else _DENIED
+            return _FAILED
         replies.append(self.telemetry.build(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT, now_s))
         return _ACCEPTED
 

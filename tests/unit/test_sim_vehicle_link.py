@@ -188,19 +188,66 @@ def test_ping_and_timesync_are_answered() -> None:
     assert (sync.tc1, sync.ts1) == (1_000_000_000, 55)
 
 
+def answer(ground: Ground, number: int, *params: float) -> int | None:
+    """Return the result that a command is acknowledged with, None where it is not."""
+    seven = (*params, *[0.0] * (7 - len(params)))
+    replies = ground.send(mavlink.MAVLink_command_long_message(1, 1, number, 0, *seven))
+    acks = [m.result for m in of_type(replies, "COMMAND_ACK")]
+    assert len(acks) <= 1
+    return int(acks[0]) if acks else None
+
+
+DENIED, FAILED, UNSUPPORTED = (
+    mavlink.MAV_RESULT_DENIED,
+    mavlink.MAV_RESULT_FAILED,
+    mavlink.MAV_RESULT_UNSUPPORTED,
+)
+
+
 @pytest.mark.parametrize(
-    ("number", "ardupilot", "px4"),
-    [
-        (mavlink.MAV_CMD_DO_SET_ROI_LOCATION, ACCEPTED, ACCEPTED),
-        (mavlink.MAV_CMD_DO_SET_ROI_NONE, ACCEPTED, ACCEPTED),
-        (mavlink.MAV_CMD_IMAGE_START_CAPTURE, mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_UNSUPPORTED),
-        (31_999, mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_UNSUPPORTED),
-        (mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_RESULT_UNSUPPORTED, mavlink.MAV_RESULT_UNSUPPORTED),
+    ("command", "ardupilot", "px4"),
+    [  # without a camera; ArduPilot's: GCS_MAVLINK::handle_command_int_packet, AP_Camera; PX4's: Commander, Navigator
+        ((mavlink.MAV_CMD_DO_SET_ROI,), ACCEPTED, ACCEPTED),
+        ((mavlink.MAV_CMD_DO_SET_ROI_LOCATION,), ACCEPTED, ACCEPTED),
+        ((mavlink.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET,), UNSUPPORTED, ACCEPTED),
+        ((mavlink.MAV_CMD_DO_SET_ROI_NONE,), ACCEPTED, ACCEPTED),
+        ((mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST, 5.0), ACCEPTED, None),
+        ((mavlink.MAV_CMD_DO_DIGICAM_CONTROL,), ACCEPTED, None),
+        ((mavlink.MAV_CMD_IMAGE_START_CAPTURE, 0.0, 0.0, 1.0), FAILED, UNSUPPORTED),
+        ((mavlink.MAV_CMD_IMAGE_STOP_CAPTURE,), ACCEPTED, UNSUPPORTED),
+        ((mavlink.MAV_CMD_DO_GO_AROUND,), UNSUPPORTED, None),
+        ((mavlink.MAV_CMD_DO_LAND_START,), FAILED, UNSUPPORTED),
+        ((mavlink.MAV_CMD_DO_SET_SERVO, 9.0, 1500.0), ACCEPTED, UNSUPPORTED),
+        ((31_999,), UNSUPPORTED, UNSUPPORTED),
+        ((mavlink.MAV_CMD_DO_SET_MODE,), UNSUPPORTED, UNSUPPORTED),
+        ((mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 5.0, -1.0), ACCEPTED, ACCEPTED),
+        ((mavlink.MAV_CMD_GET_HOME_POSITION,), ACCEPTED, ACCEPTED),
+        ((mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, 1.0), FAILED, FAILED),  # there is none
+        ((mavlink.MAV_CMD_MISSION_START,), FAILED, mavlink.MAV_RESULT_TEMPORARILY_REJECTED),
+        ((mavlink.MAV_CMD_NAV_TAKEOFF,), FAILED, ACCEPTED),  # ArduCopter: disarmed, not in GUIDED
     ],
 )
-def test_every_command_is_acknowledged(number: int, ardupilot: int, px4: int) -> None:
-    assert Ground("ardupilot").command(number) == ardupilot
-    assert Ground("px4").command(number) == px4
+def test_commands_are_answered_as_real_vehicles_answer_them(
+    command: tuple[float, ...], ardupilot: int | None, px4: int | None
+) -> None:
+    number, *params = command
+    assert answer(Ground("ardupilot"), int(number), *params) == ardupilot
+    assert answer(Ground("px4"), int(number), *params) == px4
+
+
+def test_a_start_at_an_item_is_px4s() -> None:
+    """ArduPilot: "first-item/last item not supported"; PX4 begins at param1, -1 being where it is."""
+    ardupilot, px4 = Ground("ardupilot"), Ground("px4")
+    for ground in (ardupilot, px4):
+        ground.upload(mission(ground.autopilot.personality.autopilot))
+    assert answer(ardupilot, mavlink.MAV_CMD_MISSION_START, 0.0, 5.0) == DENIED
+    assert answer(ardupilot, mavlink.MAV_CMD_MISSION_START, 1.0, 0.0) == DENIED
+    for beyond in (5.0, -2.0, NAN):
+        assert answer(px4, mavlink.MAV_CMD_MISSION_START, beyond) == DENIED
+    assert answer(px4, mavlink.MAV_CMD_MISSION_START, 2.0, 4.0) == ACCEPTED
+    assert px4.autopilot.current == 2
+    assert answer(px4, mavlink.MAV_CMD_MISSION_START, -1.0) == ACCEPTED
+    assert px4.autopilot.current == 2
 
 
 @BOTH
