@@ -18,7 +18,7 @@ from numba import njit
 from missionplanner import kernels
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import ObstacleArrays, SpaceArrays
-from missionplanner.taut import INNER, OUTER, Rules, leg_length, leg_ok
+from missionplanner.taut import INNER, LEAF, OUTER, Rules, leg_length, leg_ok
 
 _EXCESS = 3e-4  # of the section's length: what one point's corner around a solid may cost, in the coarsest rings
 _POINTS_MIN, _POINTS_MAX = 6, 64
@@ -27,6 +27,8 @@ _STRING_PIECES = 48
 _STRING_LEAST_M = 2.0  # spacing of the ground's samples below a leg
 _STRING_SPARE = 0.25  # kept above them, as a share of their spacing
 _APEXES = 6
+_FREE = (0.0, 0.0, 1.0)  # of a point without a ring, and of the ends
+_ROUNDING = 1e-9
 _POINTS = 3000
 _CIRCLES = 3000
 
@@ -126,15 +128,27 @@ def _leg_cost(
     leg[1] = p[b]
     if not kernels.leg_is_clear(space, leg, np.inf, -np.inf, np.inf, rules.alt_max_m, rules.obstacle_m, rules.fence_m):
         return np.inf
+    length: float = leg_length(leg)
+    if leg_ok(space, rules, walls, leg, True):  # most legs: nothing below holds them
+        return length
     size = _string(space, rules, p[a], p[b], out)
-    length = 0.0
+    length = 0.0 if size > 0 else np.inf
     for n in range(size - 1):
         leg[0] = out[n]
         leg[1] = out[n + 1]
         if not leg_ok(space, rules, walls, leg, False):
             return np.inf
         length += leg_length(leg)
-    return length if size > 0 else float(np.inf)
+    return length
+
+
+@njit(**LEAF)
+def _touches(held: FloatArray, leg: FloatArray) -> bool:
+    """Return whether a leg passes a ring's point on the outside, seen from above: else no string that bends there."""
+    ex, ey = leg[1, 0] - leg[0, 0], leg[1, 1] - leg[0, 1]
+    inwards = ex * held[0] + ey * held[1]
+    touches: bool = inwards * inwards <= held[2] * held[2] * (ex * ex + ey * ey)
+    return touches
 
 
 @njit(**OUTER)
@@ -143,6 +157,7 @@ def _search(
     rules: Rules,
     walls: FloatArray,
     p: FloatArray,
+    held: FloatArray,
     longest_m: float,
     parent: npt.NDArray[np.int64],
     key: FloatArray,
@@ -151,7 +166,8 @@ def _search(
 ) -> float:
     """Find the shortest way from point 0 to point 1 of ``p``; write each point's ``parent``, return the length.
 
-    Gives up, returning inf, when nothing shorter than ``longest_m`` is left.
+    Only along legs that touch the rings of both ends: by ``held`` (N, 3), see :func:`_rings`. Gives up, returning inf,
+    when nothing shorter than ``longest_m`` is left.
     """
     count = p.shape[0]
     queue = _Queue(key, legs, asked)
@@ -177,6 +193,8 @@ def _search(
             if closed[n]:
                 continue
             leg[1] = p[n]
+            if not (_touches(held[here], leg) and _touches(held[n], leg)):
+                continue
             total = cost[here] + leg_length(leg)
             if total < cost[n] and total + to_go[n] < longest_m and queued < key.shape[0]:
                 _push(queue, queued, total + to_go[n], here, n, False)
@@ -206,13 +224,16 @@ def _search(
 
 
 @njit(**OUTER)
-def _draw(space: SpaceArrays, rules: Rules, p: FloatArray, out: FloatArray) -> int:
+def _draw(space: SpaceArrays, rules: Rules, walls: FloatArray, p: FloatArray, out: FloatArray) -> int:
     """Write the strings between consecutive points of ``p`` to ``out``; return how many points they have."""
     piece = np.empty((_APEXES + 2, 3))
     size = 1
     out[0] = p[0]
     for n in range(p.shape[0] - 1):
-        more = _string(space, rules, p[n], p[n + 1], piece)
+        more = 2
+        piece[1] = p[n + 1]
+        if not leg_ok(space, rules, walls, p[n : n + 2], True):
+            more = _string(space, rules, p[n], p[n + 1], piece)
         for k in range(1, more):
             out[size] = piece[k]
             size += 1
@@ -236,11 +257,16 @@ def _clear_points(space: SpaceArrays, rules: Rules, p: FloatArray) -> npt.NDArra
     return clear
 
 
-def _rings(o: ObstacleArrays, ends: FloatArray, margin_m: float, longest_m: float, excess_m: float) -> FloatArray:
+def _rings(
+    o: ObstacleArrays, ends: FloatArray, margin_m: float, longest_m: float, excess_m: float
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]:
     """Return points (N, 2) around every hard solid in the way seen from above, and around every corner of a prism.
 
     On the corners of a polygon around the circle, so that the legs between neighbours just touch it; a corner costs at
     most about ``excess_m`` more than the arc. Where two circles leave a gap, a leg of either polygon leads through.
+    Also returned: for each point the direction (N, 2) away from its circle and the sine of the greatest angle by which
+    a leg that touches the polygon there leaves the tangent (1 in gaps: there one must take what there is); and the
+    points (N, 2) next to it on the polygon.
     """
     owner, x, y, radius_m = _circles(o)
     reach_m = radius_m + margin_m + _CLOSE_M
@@ -250,7 +276,8 @@ def _rings(o: ObstacleArrays, ends: FloatArray, margin_m: float, longest_m: floa
     owner, x, y, reach_m = owner[least], x[least], y[least], reach_m[least]
     count = np.clip(np.ceil(math.tau / (12.0 * excess_m / reach_m) ** (1.0 / 3.0)), _POINTS_MIN, _POINTS_MAX)
     out_m = reach_m / np.cos(math.pi / count)
-    rings = [np.empty((0, 2))]
+    rings, beside = [np.empty((0, 5))], [np.empty((0, 2), dtype=np.int64)]
+    first = 0
     for n in range(len(x)):
         apart_m = np.hypot(x - x[n], y - y[n])
         gaps = np.flatnonzero((apart_m < out_m + out_m[n]) & (apart_m > reach_m + reach_m[n]))
@@ -258,8 +285,16 @@ def _rings(o: ObstacleArrays, ends: FloatArray, margin_m: float, longest_m: floa
         gaps = np.setdiff1d(gaps, within)
         facing = np.arctan2(y[gaps] - y[n], x[gaps] - x[n])[:, np.newaxis] + (-math.pi / count[n], math.pi / count[n])
         angle = np.concatenate([math.tau * np.arange(int(count[n])) / count[n], facing.ravel()])
-        rings.append(np.column_stack([x[n] + out_m[n] * np.cos(angle), y[n] + out_m[n] * np.sin(angle)]))
-    return np.concatenate(rings)
+        east, north = np.cos(angle), np.sin(angle)
+        leaves = np.ones(len(angle))
+        leaves[: int(count[n])] = math.sin(math.pi / count[n]) + _ROUNDING
+        rings.append(np.column_stack([x[n] + out_m[n] * east, y[n] + out_m[n] * north, east, north, leaves]))
+        around = np.arange(len(angle))
+        before, after = ((around + turn) % int(count[n]) for turn in (-1, 1))
+        beside.append(first + np.column_stack([before, after]))
+        first += len(angle)
+    points = np.concatenate(rings)
+    return points[:, :2], points[:, 2:], np.concatenate(beside)
 
 
 def _circles(o: ObstacleArrays) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
@@ -296,6 +331,7 @@ def shortest_way(
     longest_m: float,
     *,
     fineness: float = 1.0,
+    taut: bool = False,
 ) -> FloatArray | None:
     """Return the shortest path (K, 3) along the roadmap if it is shorter than ``longest_m``, else None.
 
@@ -303,26 +339,37 @@ def shortest_way(
     ----------
     known : (N, 3) points of paths known so far, to go along or to change over between them.
     fineness : of the rings: corners cost so many times less.
+    taut : look only for ways that touch the rings they bend at, as a string would that nothing else holds.
     """
     ends = np.array([start_m, goal_m])
     excess_m = _EXCESS / fineness * float(np.linalg.norm(goal_m - start_m))
-    ring = _rings(space.obstacles, ends, rules.obstacle_m, longest_m, excess_m)
+    ring, held, beside = _rings(space.obstacles, ends, rules.obstacle_m, longest_m, excess_m)
     away = np.linalg.norm(ring[:, np.newaxis] - ends[:, :2], axis=2)
     share = away[:, 0] / np.maximum(away.sum(axis=1), 1e-9)
     raised = [np.column_stack([ring, start_m[2] + share * (goal_m[2] - start_m[2])])]
     points = np.concatenate([*raised, known])
-    points = points[np.linalg.norm(points[:, np.newaxis] - ends, axis=2).sum(axis=1) < longest_m]
-    points = points[_clear_points(space, rules, points)]
+    near = np.flatnonzero(np.linalg.norm(points[:, np.newaxis] - ends, axis=2).sum(axis=1) < longest_m)
+    points = points[near]
+    clear = _clear_points(space, rules, points)
+    if taut:
+        blocked = np.zeros(len(ring) + len(known), dtype=np.bool_)
+        blocked[near[~clear]] = True
+        held[blocked[beside].any(axis=1)] = _FREE  # the leg along the ring is not there: one must take what there is
+    else:
+        held[:] = _FREE
+    held = np.concatenate([held, np.tile(_FREE, (len(known), 1))])[near[clear]]
+    points = points[clear]
     detour = np.linalg.norm(points[:, np.newaxis] - ends, axis=2).sum(axis=1)
-    points = points[np.argsort(detour, kind="stable")[:_POINTS]]
-    points = np.concatenate([ends, points])
-    room = 64 * len(points) + 1000
+    least = np.argsort(detour, kind="stable")[:_POINTS]
+    points, held = np.concatenate([ends, points[least]]), np.concatenate([np.tile(_FREE, (2, 1)), held[least]])
+    room, no_walls = 64 * len(points) + 1000, np.empty((0, 11))
     parent = np.full(len(points), -1)
     length = _search(
         space,
         rules,
-        np.empty((0, 11)),
+        no_walls,
         points,
+        held,
         longest_m,
         parent,
         np.empty(room),
@@ -335,5 +382,5 @@ def shortest_way(
     while way[-1] != 0:
         way.append(int(parent[way[-1]]))
     path = np.empty((len(way) * (_APEXES + 2), 3))
-    size = _draw(space, rules, points[way[::-1]], path)
+    size = _draw(space, rules, no_walls, points[way[::-1]], path)
     return path[:size].copy()

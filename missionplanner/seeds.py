@@ -328,6 +328,7 @@ class _Level:
 
 _LEVELS = (_Level(16, 0.5), _Level(32, 1.0), _Level(16, 4.0), _Level(64, 1.0), _Level(48, 4.0), _Level(48, math.inf))
 _NO_WALLS = np.empty((0, 11))
+_NO_POINTS = np.empty((0, 3))
 
 
 def _grids(problem: _Problem, levels: Sequence[_Level]) -> Iterator[tuple[_Grid, npt.NDArray[np.int64], float]]:
@@ -535,12 +536,23 @@ _UNHELD_M = 0.5  # so far from its limits of height a path is not held by them
 
 
 def _along_roadmap(
-    problem: _Problem, ground_slope: float, known: FloatArray, longest_m: float, tolerance: float, fineness: float
+    problem: _Problem,
+    ground_slope: float,
+    known: FloatArray,
+    longest_m: float,
+    tolerance: float,
+    fineness: float,
+    *,
+    sideways: bool = False,
 ) -> FloatArray | None:
-    """Return the shortest path (K, 3) along the roadmap, drawn taut; None if none is shorter than ``longest_m``."""
+    """Return the shortest path (K, 3) along the roadmap, drawn taut; None if none is shorter than ``longest_m``.
+
+    ``sideways``: where solids alone hold it, seen from above.
+    """
+    ends = problem.start_m, problem.goal_m
     for spare_m in _SPARES_M:
         rules = problem.rules(ground_slope, min(spare_m, problem.spare_m))
-        path = shortest_way(problem.space, rules, problem.start_m, problem.goal_m, known, longest_m, fineness=fineness)
+        path = shortest_way(problem.space, rules, *ends, known, longest_m, fineness=fineness, taut=sideways)
         if path is None:
             return None
         path = _tightened(problem, ground_slope, path, tolerance)
@@ -753,7 +765,7 @@ def _shortest_sideways(problem: _Problem, ground_slope: float, tolerance: float)
         return None
     best: FloatArray | None = None
     for fineness in (1.0, _FINER):
-        path = _along_roadmap(problem, ground_slope, np.empty((0, 3)), longest_m, tolerance, fineness)
+        path = _along_roadmap(problem, ground_slope, _NO_POINTS, longest_m, tolerance, fineness, sideways=True)
         if path is not None:
             best, longest_m = path, _length_m(path)
         if best is None or not (_held_sideways(problem, best) and _sideways_alone(problem, longest_m)):
@@ -764,9 +776,13 @@ def _shortest_sideways(problem: _Problem, ground_slope: float, tolerance: float)
 def _ways(
     problem: _Problem, ground_slope: float, first: FloatArray, level: _Level | None, count: int, thorough: bool
 ) -> list[_Way]:
-    """Return up to ``count`` different ways, shortest first, the first of them given; no level: it is the shortest."""
+    """Return up to ``count`` different ways, shortest first, the first of them given.
+
+    No level: it is the shortest, and taut enough unless thorough.
+    """
     tolerance = _TIGHTEST if thorough else _TAUT_TOLERANCE
-    found = [_way(problem, _tightened(problem, ground_slope, first, tolerance), _NO_WALLS)]
+    taut = first if level is None and not thorough else _tightened(problem, ground_slope, first, tolerance)
+    found = [_way(problem, taut, _NO_WALLS)]
     short = level is None or (not thorough and found[0].length_m < _SHORT_ENOUGH * problem.least_m)
     if count == 1 and short:
         return found

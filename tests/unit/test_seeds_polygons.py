@@ -4,10 +4,14 @@ import math
 import tracemalloc
 
 import numpy as np
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 
-from missionplanner.obstacles import CylinderSolid, PrismSolid
-from missionplanner.roadmap import _rings
+from missionplanner.kernels import obstacle_distances
+from missionplanner.obstacles import CylinderSolid, PrismSolid, Solid
+from missionplanner.roadmap import _rings, shortest_way
 from missionplanner.seeds import first_guesses
+from missionplanner.taut import Rules
 from tests.laws.test_near_solids_laws import every
 from tests.oracles.tangent_graph import shortest_m
 from tests.unit.test_seeds import EAST, WEST, check, length_m, limits, space
@@ -25,7 +29,7 @@ def test_memory_does_not_grow_with_the_square_of_the_corners() -> None:
     rng = np.random.default_rng(1)
     many = space(*(disc(x, y, 20.0, 120) for x, y in rng.uniform(-380.0, 380.0, (60, 2)))).obstacles
     tracemalloc.start()
-    points = _rings(many, ENDS, MARGIN_M, 2400.0, 0.3)
+    points = _rings(many, ENDS, MARGIN_M, 2400.0, 0.3)[0]
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert len(points) < 60_000
@@ -33,7 +37,7 @@ def test_memory_does_not_grow_with_the_square_of_the_corners() -> None:
 
 
 def test_corners_of_one_disc_leave_no_gaps() -> None:
-    few, many = (_rings(space(disc(0.0, 0.0, 40.0, n)).obstacles, ENDS, MARGIN_M, 2400.0, 0.3) for n in (12, 120))
+    few, many = (_rings(space(disc(0.0, 0.0, 40.0, n)).obstacles, ENDS, MARGIN_M, 2400.0, 0.3)[0] for n in (12, 120))
     assert len(many) == 10 * len(few)  # as many around every corner
 
 
@@ -48,7 +52,7 @@ def test_past_a_finely_drawn_disc_the_path_is_as_short_as_past_a_round_one() -> 
 def test_no_ring_stands_around_a_corner_that_points_inwards() -> None:
     outline = np.array([[0, 0], [100, 0], [100, 100], [50, 60], [0, 100]], dtype=float)
     for xy in (outline, outline[::-1]):
-        points = _rings(space(PrismSolid("notch", xy)).obstacles, ENDS, MARGIN_M, 2400.0, 0.3)
+        points = _rings(space(PrismSolid("notch", xy)).obstacles, ENDS, MARGIN_M, 2400.0, 0.3)[0]
         away_m = np.hypot(*(points[:, np.newaxis] - outline).transpose(2, 0, 1)).min(axis=0)
         assert away_m[3] > 30.0
         assert (np.delete(away_m, 3) < MARGIN_M * 1.1).all()
@@ -88,3 +92,43 @@ def test_the_index_of_solids_changes_no_guess() -> None:
         plain = where._replace(obstacles=every(where.obstacles))
         for one, other in zip(*(first_guesses(w, rules, WEST, EAST, count=2) for w in (where, plain)), strict=True):
             np.testing.assert_array_equal(one, other)
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    solids=st.lists(
+        st.one_of(
+            st.builds(
+                lambda x, y, r: CylinderSolid("mast", x, y, r),
+                st.floats(-330.0, 330.0),
+                st.floats(-120.0, 120.0),
+                st.floats(2.0, 60.0),
+            ),
+            st.builds(
+                disc, st.floats(-330.0, 330.0), st.floats(-120.0, 120.0), st.floats(5.0, 50.0), st.integers(3, 7)
+            ),
+        ),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_a_way_that_only_touches_rings_is_as_short_as_any(solids: list[Solid]) -> None:
+    """Between tall solids on level ground, overlapping or not, legs that touch no ring are on no shortest way."""
+    where, rules = space(*solids), limits(60.0, MARGIN_M)
+    assume((obstacle_distances(where.obstacles, ENDS) > MARGIN_M + 0.1).all())
+    flight = Rules(
+        height_min_m=20.0,
+        height_max_m=math.inf,
+        alt_max_m=math.inf,
+        obstacle_m=MARGIN_M,
+        fence_m=0.0,
+        slope_up=math.tan(rules.climb_angle_rad),
+        slope_down=math.tan(rules.descent_angle_rad),
+        ground_slope=0.0,
+    )
+    any_, touching = (
+        shortest_way(where, flight, WEST, EAST, np.empty((0, 3)), 1600.0, taut=taut) for taut in (False, True)
+    )
+    assert (any_ is None) == (touching is None)
+    if any_ is not None and touching is not None:
+        assert length_m(touching) <= length_m(any_) * (1.0 + 1e-4)
