@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # the planner takes a second to import: commands that do with
     from adapters.certificates import Held
     from adapters.endpoint import Endpoint
     from adapters.fleet_link import Clock, FleetLink, Order, VehicleStatus
+    from adapters.sitl import SitlFleet
     from missionplanner.certificate import Certificate
     from missionplanner.flight_check import FlightCheck
     from missionplanner.mission import Mission
@@ -46,7 +47,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(experiment_commands.app, name="experiment")
-FILES, LOGS = "files", "logs"
+FILES, LOGS, SITL = "files", "logs", "sitl"
 _ORDERS = ("auto", "hold", "land", "rtl")
 
 MissionFile = Annotated[Path, typer.Argument(metavar="MISSION", help="mission file (YAML)")]
@@ -306,7 +307,17 @@ def fly(
     ] = None,
     speedup: Annotated[
         float | None,
-        typer.Option(min=0.01, help="simulated vehicles only: times real time; default: as fast as possible"),
+        typer.Option(
+            min=0.01,
+            help="simulated vehicles only: times real time; default: as fast as possible, with --sitl in real time",
+        ),
+    ] = None,
+    sitl: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="AUTOPILOT=PROGRAM[,...]",
+            help="real autopilot code in its makers' simulator, e.g. ardupilot=/path/to/arducopter,px4=/path/to/px4",
+        ),
     ] = None,
     correct: Annotated[
         bool | None,
@@ -333,26 +344,45 @@ def fly(
     as_json: AsJson = False,
 ) -> None:
     """Plan if need be, upload, prove what the vehicles hold, start together, fly, keep together, and report."""
+    from adapters.sitl import SitlFleet
+    from adapters.sitl_instances import sitl_programs
     from missionplanner.flight_check import check_flight
     from missionplanner.pacing import pacer
     from missionplanner.plan_folder import save_flight
     from missionplanner.report import write_report
     from sim.fleet import planned_vehicles
 
-    simulated_only = {"--speedup": speedup, "--sim-wind": sim_wind, "--sim-late": sim_late or None}
+    simulated_only = {
+        "--speedup": speedup,
+        "--sim-wind": sim_wind,
+        "--sim-late": sim_late or None,
+        "--sitl": sitl or None,
+    }
     for option, value in simulated_only.items():
         if connect is not None and value is not None:
             raise MissionError(f"{option}: expected only with built-in simulated vehicles, not with --connect")
     if connect is None and signing_key is not None:
         raise MissionError("--signing-key: expected with --connect; built-in simulated vehicles are not on any link")
+    if sitl and sim_late:
+        raise MissionError("--sim-late: expected only with built-in simulated vehicles, not with --sitl")
+    programs = sitl_programs(sitl) if sitl else None
     wind_m_s, late_s = _sim_wind(sim_wind), _sim_late(sim_late or [])
     scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
+    simulators = None
+    if programs is not None:
+        ground, pace = scene.terrain.height_amsl_m, 1.0 if speedup is None else speedup
+        simulators = SitlFleet(
+            fleet_plan, programs, folder / SITL, speedup=pace, ground=ground, wind_m_s=wind_m_s, tell=_warn
+        )
     vehicles = planned_vehicles(fleet_plan, wind_m_s=wind_m_s, late_s=late_s)
     correct = fleet_plan.mission.fleet.correction != "off" if correct is None else correct
     if connect is not None:
         _clock_start(fleet_plan, datetime.now(UTC))
     with _ground_station(
-        scene, fleet_plan, folder, connect, speedup, signing_key, unproven=unproven, vehicles=vehicles
+        *(scene, fleet_plan, folder, connect, speedup, signing_key),
+        unproven=unproven,
+        vehicles=vehicles,
+        simulators=simulators,
     ) as link:
         _transfer(link, scene, fleet_plan, unproven=unproven)
         try:
@@ -433,8 +463,12 @@ def _ground_station(
     *,
     unproven: bool,
     vehicles: Sequence[SimVehicle] = (),
+    simulators: SitlFleet | None = None,
 ) -> Iterator[FleetLink]:
-    """Connect to the fleet's vehicles, or to simulated ones that stand where the plan wants them; log what is said."""
+    """Connect to the fleet's vehicles, or to simulated ones that stand where the plan wants them; log what is said.
+
+    Simulated are the built-in ``vehicles``, or those of the autopilots' own ``simulators``.
+    """
     from adapters.endpoint import open_endpoint
     from adapters.fleet_link import FleetLink, WallClock
     from adapters.telemetry_log import FleetLog
@@ -448,6 +482,11 @@ def _ground_station(
         if connect is not None:
             endpoints = stack.enter_context(_links(connect, signing_key))
             clock = WallClock(endpoints)
+        elif simulators is not None:
+            stack.enter_context(simulators)
+            with stderr.status("starting the autopilots") as status:
+                simulators.start(lambda name, missing: status.update(f"{name}: {missing}"))
+            endpoints, clock = simulators.endpoints, simulators.clock
         else:
             endpoints = [stack.enter_context(closing(open_endpoint("udpin:127.0.0.1:0")))]
             fleet = SimFleet(vehicles, frame=scene.frame, ground=ground, seed=fleet_plan.seed)
