@@ -335,6 +335,28 @@ class FlightControl:
         """The names of the vehicles that are armed, or were when they were last heard, and have not ended."""
         return [vehicle.plan.name for vehicle in self._vehicles.values() if vehicle.armed and not vehicle.ended]
 
+    def standing(self) -> list[str]:
+        """Return a sentence for every vehicle: what it does as far as is known, or that it does not answer."""
+        now_s = self._clock.now_s()
+        last = {ordered.vehicle: ordered for ordered in self._ordered}
+        told: list[str] = []
+        for sysid, vehicle in self._vehicles.items():
+            ordered = last.get(vehicle.plan.name)
+            words = f"{vehicle.plan.name} flies on with its mission, {vehicle.where}"
+            if vehicle.recorder.landed and not vehicle.armed:
+                words = f"{vehicle.plan.name} has landed"
+            elif not vehicle.armed or sysid in self._grounded:
+                words = f"{vehicle.plan.name} is disarmed on the ground"
+            elif ordered is not None and (ordered.order != "resume" or ordered.result != "obeyed"):
+                words = ordered.words
+            elif vehicle.ended:
+                words = f"{vehicle.plan.name} is where its mission ends"
+            elif not vehicle.in_mode("auto"):
+                words = f"{vehicle.plan.name} is in mode {vehicle.custom_mode}, not in its mission"
+            silent_s = vehicle.silent_s(now_s)
+            told.append(words if silent_s <= UNHEARD_S else f"{words} (not heard for {silent_s:.0f} s)")
+        return told
+
     def pump(self) -> None:
         """Listen for a moment, and be heard: a vehicle that misses its ground station may return."""
         self._station.step()
@@ -418,6 +440,8 @@ class FlightControl:
                 return (yield from self._pausing(vehicle))
             case "resume":
                 return (yield from self._resuming(vehicle))
+        if vehicle.in_mode("auto"):
+            vehicle.left_item = vehicle.current_item
         refusal = yield from self._changing_mode(vehicle, order)
         if refusal:
             return "refused", f"was told to {order}, and {refusal}"
@@ -461,7 +485,7 @@ class FlightControl:
                     yield
                 return "obeyed", f"stands on its way, {vehicle.where}"
         if vehicle.in_mode("auto"):
-            vehicle.left_item = vehicle.current_item
+            vehicle.left_item = yield from self._item_of(vehicle)
         refusal = yield from self._changing_mode(vehicle, "hold")
         if refusal:
             return "refused", f"was told to pause, and {refusal}"
@@ -483,7 +507,10 @@ class FlightControl:
                 return "refused", f"was told to resume, and refused{vehicle.said(self._clock.now_s())}"
             self._flies_on(vehicle)
             return "obeyed", f"goes on, {vehicle.where}"
-        item, off_m = vehicle.current_item if vehicle.left_item is None else vehicle.left_item, vehicle.off_way_m()
+        item = vehicle.left_item
+        if item is None:
+            item = yield from self._item_of(vehicle)
+        off_m = vehicle.off_way_m()
         if item is None:
             return "refused", "is not resumed: which item it was flying to is not known"
         if off_m > self._home_tolerance_m and not vehicle.warned:
@@ -517,6 +544,20 @@ class FlightControl:
         if self._keeper is not None:
             self._keeper.as_planned(list(self._vehicles).index(vehicle.plan.sysid))
         return "obeyed", f"goes on to item {item} at {speed.param2:.2f} m/s{off}"
+
+    def _item_of(self, vehicle: FleetVehicle) -> Waiting[int | None]:
+        """Return the item that a vehicle flies to; one that has not said so is asked for it, and for its position."""
+        if vehicle.current_item is None or vehicle.recorder.position_m is None:
+            yield from self._asking_for_telemetry(vehicle)
+            end_s = self._clock.now_s() + _SEEN_S
+            while (vehicle.current_item is None or vehicle.recorder.position_m is None) and self._clock.now_s() < end_s:
+                yield
+        return vehicle.current_item
+
+    def _asking_for_telemetry(self, vehicle: FleetVehicle) -> Steps:
+        for number, interval_s in _MESSAGE_INTERVALS_S.items():
+            # one that will not be set comes at the vehicle's own rate
+            yield from self._station.commanding(vehicle, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, interval_s * 1e6)
 
     def _flies_on(self, vehicle: FleetVehicle) -> None:
         if self._keeper is not None:
@@ -604,9 +645,7 @@ class FlightControl:
     # what goes on with one vehicle, each a generator that yields whenever it waits
 
     def _preparing(self, vehicle: FleetVehicle, timeout_s: float, progress: ReadyProgress | None) -> Steps:
-        for number, interval_s in _MESSAGE_INTERVALS_S.items():
-            # one that will not be set comes at the vehicle's own rate
-            yield from self._station.commanding(vehicle, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, number, interval_s * 1e6)
+        yield from self._asking_for_telemetry(vehicle)
         end_s = self._clock.now_s() + timeout_s
         told = ""
         while missing := "; ".join(vehicle.lacks(self._clock.now_s())):
@@ -668,7 +707,9 @@ class FlightControl:
 
     def _starting(self, vehicle: FleetVehicle) -> Steps:
         result = yield from self._station.commanding(
-            vehicle, mavlink.MAV_CMD_MISSION_START, retry_s=_START_RETRY_S  # a range of items is refused by ArduPilot
+            vehicle,
+            mavlink.MAV_CMD_MISSION_START,
+            retry_s=_START_RETRY_S,  # a range of items is refused by ArduPilot
         )
         if result != mavlink.MAV_RESULT_ACCEPTED:
             raise vehicle.error(f"refused to start its mission{vehicle.said(self._clock.now_s())}")

@@ -158,7 +158,7 @@ def test_planes_told_to_land_return_and_that_is_said() -> None:
 
 def test_a_way_back_that_is_not_proven_is_flown_only_when_asked_for_twice() -> None:
     rig = started(long_legs("px4", 1))
-    script = Script(rig, (40.0, "rtl", ()), (52.0, "resume", ()), (54.0, "resume", ()))
+    script = Script(rig, (40.0, "rtl", ()), (63.0, "resume", ()), (65.0, "resume", ()))
     flight = rig.link.watch(helm=script)
     _, first, second = script.answers
     assert first[0].result == "refused"
