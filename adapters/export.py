@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from adapters.geo_files import fleet_geojson, fleet_kml
+from adapters.guards import guard, read_areas
 from adapters.mission_items import plan_items
 from adapters.plan_file import PlanFile, plan_text
 from adapters.waypoints_file import waypoints_text
@@ -19,12 +20,15 @@ def export_fleet(plan: FleetPlan, folder: Path) -> list[Path]:
     ------
     MissionError
         The folder cannot be written to.
+    InfeasibleError
+        A vehicle's own fence would end its mission.
     """
     texts: dict[str, str] = {}
     for vehicle in plan.vehicles:
         items = plan_items(vehicle, plan.frame)
         home = plan.frame.geo_point(vehicle.home_m)
-        texts[f"{vehicle.name}.plan"] = plan_text(PlanFile(vehicle.autopilot, home, items), vehicle.vehicle_class)
+        held, sent = PlanFile(vehicle.autopilot, home, items), guard(plan, vehicle)
+        texts[f"{vehicle.name}.plan"] = plan_text(held, vehicle.vehicle_class, read_areas(sent.fence), sent.rally)
         texts[f"{vehicle.name}.waypoints"] = waypoints_text(items, vehicle.autopilot, home)
     texts["fleet.kml"] = fleet_kml(plan)
     texts["fleet.geojson"] = fleet_geojson(plan)

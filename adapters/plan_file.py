@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from adapters.guards import Area
 from adapters.mission_items import (
     CHANGE_SPEED,
     FRAME_GLOBAL,
@@ -48,8 +49,10 @@ class PlanFile:
     rally_points: int = 0
 
 
-def plan_text(plan: PlanFile, vehicle_class: VehicleClass) -> str:
-    """Return the file's text."""
+def plan_text(
+    plan: PlanFile, vehicle_class: VehicleClass, areas: Sequence[Area] = (), rally: Sequence[MissionItem] = ()
+) -> str:
+    """Return the file's text, with the areas of a fence and rally points (heights above home)."""
     items = plan.items[1:] if plan.autopilot == "ardupilot" else plan.items
     speeds_m_s = [item.param2 for item in items if item.command == CHANGE_SPEED and not math.isnan(item.param2)]
     whole_speed_m_s = max(1, round(speeds_m_s[0])) if speeds_m_s else 5  # Mission Planner reads integers only
@@ -71,8 +74,27 @@ def plan_text(plan: PlanFile, vehicle_class: VehicleClass) -> str:
             ],
             "items": [_simple_item(item, jump_id) for jump_id, item in enumerate(items, start=1)],
         },
-        "geoFence": {"version": 2, "circles": [], "polygons": []},
-        "rallyPoints": {"version": 2, "points": []},
+        "geoFence": {
+            "version": 2,
+            "circles": [
+                {
+                    "circle": {"center": _degrees(*area.corners[0]), "radius": float(float32_text(area.radius_m))},
+                    "inclusion": area.inclusion,
+                    "version": 1,
+                }
+                for area in areas
+                if area.radius_m
+            ],
+            "polygons": [
+                {"inclusion": area.inclusion, "polygon": [_degrees(*c) for c in area.corners], "version": 1}
+                for area in areas
+                if not area.radius_m
+            ],
+        },
+        "rallyPoints": {
+            "version": 2,
+            "points": [[*_degrees(point.x, point.y), float(float32_text(point.z))] for point in rally],
+        },
     }
     return json.dumps(document, indent=4) + "\n"
 
@@ -93,6 +115,10 @@ def _simple_item(item: MissionItem, jump_id: int) -> dict[str, Any]:
         "params": [*params, wire_to_degrees(item.x), wire_to_degrees(item.y), _number(item.z)],
         "type": "SimpleItem",
     }
+
+
+def _degrees(x: int, y: int) -> list[float]:
+    return [wire_to_degrees(x), wire_to_degrees(y)]
 
 
 def _number(value: float) -> float | None:
