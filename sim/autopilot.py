@@ -332,6 +332,20 @@ class Autopilot:
         self.home_m = np.array(position_m, dtype=float)
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
+    def reboot(self, now_s: float) -> None:
+        """Begin anew from where it is: disarmed (in the air it falls), in its first mode, not ready for a while."""
+        self.disarm(now_s, force=True)
+        self._drop_stages()
+        self.events.clear()
+        self.mode = self.personality.mode(self.personality.boot_mode)
+        self.ready_s = now_s + self.personality.cold_start_s
+        self.home_m = self.position_m
+        self.current = 0
+        self._jumps.clear()
+        has_mission = len(self.mission) > self._first
+        self.mission_state = MissionState.NOT_STARTED if has_mission else MissionState.NO_MISSION
+        self._speed_m_s, self._climb_m_s, self._descent_m_s = self.default_speed_m_s, math.inf, math.inf
+
     def set_mission(self, items: Sequence[MissionItem], current: int | None, now_s: float) -> None:
         """Take note of a new or changed mission; one that is being flown goes on at the same item."""
         ahead_changed = list(items[self.current :]) != list(self.mission[self.current :])

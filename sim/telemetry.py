@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from missionplanner.geodesy import FloatArray
 from missionplanner.vehicle import true_airspeed
 from sim.autopilot import Autopilot
+from sim.mission_service import with_plan_ids
 from sim.personality import Behaviour
 
 MISSION_CURRENT = int(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
@@ -116,12 +117,15 @@ class Telemetry:
         position_hz: float,
         phase_s: float,
         battery_life_s: float,
+        plan_ids: Callable[[], tuple[int, int, int]],
     ) -> None:
         self._autopilot = autopilot
         self._sysid = sysid
         self._motion = motion
         self._home_geo = home_geo
         self._battery_life_s = battery_life_s
+        self._plan_ids = plan_ids
+        self._boot_s = 0.0
         ardupilot = autopilot.personality.autopilot == "ardupilot"
         on_request = math.inf
         second = 1.0
@@ -195,6 +199,18 @@ class Telemetry:
         ]
         self._seen = seen
         return out
+
+    def reboot(self, awake_s: float) -> None:
+        """Be silent until then, and begin anew: with the clock, and with what is sent by default."""
+        self._boot_s = awake_s
+        for message in self._messages.values():
+            message.interval_s = message.default_interval_s
+            message.due_s = awake_s if math.isfinite(message.interval_s) else math.inf
+        self._due_s = awake_s
+
+    def up_s(self, now_s: float) -> float:
+        """Return the time since the vehicle booted."""
+        return now_s - self._boot_s
 
     def build(self, message_id: int, now_s: float) -> Any | None:
         """Return one message by its id; None where the vehicle has no such message."""
@@ -289,7 +305,7 @@ class Telemetry:
         east, north, _ = motion.velocity_m_s
         speed_cm_s = min(round(100 * math.hypot(east, north)), _MAX_UINT16 - 1)
         return mavlink.MAVLink_gps_raw_int_message(
-            round(now_s * 1e6),
+            round(self.up_s(now_s) * 1e6),
             mavlink.GPS_FIX_TYPE_3D_FIX if now_s < self._autopilot.ready_s else mavlink.GPS_FIX_TYPE_RTK_FIXED,
             round(motion.lat_deg * 1e7),
             round(motion.lon_deg * 1e7),
@@ -306,7 +322,7 @@ class Telemetry:
         east, north, up = motion.velocity_m_s
         alt_m = motion.position_m[2]
         return mavlink.MAVLink_global_position_int_message(
-            round(now_s * 1e3),
+            round(self.up_s(now_s) * 1e3),
             round(motion.lat_deg * 1e7),
             round(motion.lon_deg * 1e7),
             round(alt_m * 1e3),
@@ -321,11 +337,13 @@ class Telemetry:
         motion = self._motion()
         x_m, y_m, up_m = motion.position_m - self._autopilot.home_m
         east, north, up = motion.velocity_m_s
-        return mavlink.MAVLink_local_position_ned_message(round(now_s * 1e3), y_m, x_m, -up_m, north, east, -up)
+        return mavlink.MAVLink_local_position_ned_message(
+            round(self.up_s(now_s) * 1e3), y_m, x_m, -up_m, north, east, -up
+        )
 
     def _attitude(self, now_s: float) -> Any:
         yaw = math.remainder(self._motion().nose_rad, 2 * math.pi)
-        return mavlink.MAVLink_attitude_message(round(now_s * 1e3), 0.0, 0.0, yaw, 0.0, 0.0, 0.0)
+        return mavlink.MAVLink_attitude_message(round(self.up_s(now_s) * 1e3), 0.0, 0.0, yaw, 0.0, 0.0, 0.0)
 
     def _vfr_hud(self, now_s: float) -> Any:
         del now_s
@@ -355,15 +373,21 @@ class Telemetry:
     def _wind_cov(self, now_s: float) -> Any:
         east, north = self._wind_felt()
         alt_m = float(self._motion().position_m[2])
-        return mavlink.MAVLink_wind_cov_message(round(now_s * 1e6), north, east, 0.0, 0.1, 0.1, alt_m, 0.3, 0.3)
+        return mavlink.MAVLink_wind_cov_message(
+            round(self.up_s(now_s) * 1e6), north, east, 0.0, 0.1, 0.1, alt_m, 0.3, 0.3
+        )
 
     def _mission_current(self, now_s: float) -> Any:
         del now_s
         autopilot = self._autopilot
         mode = 1 if autopilot.flying_mission else 2  # active, suspended
-        return mavlink.MAVLink_mission_current_message(
-            autopilot.current, len(autopilot.mission), int(autopilot.mission_state), mode
-        )
+        total = len(autopilot.mission)
+        if autopilot.personality.transfer.home_is_item_0:
+            total = max(total - 1, 0)  # home is not counted
+        elif total == 0:
+            total = _MAX_UINT16
+        message = mavlink.MAVLink_mission_current_message(autopilot.current, total, int(autopilot.mission_state), mode)
+        return with_plan_ids(message, *self._plan_ids())
 
     def _extended_sys_state(self, now_s: float) -> Any:
         del now_s
@@ -385,18 +409,18 @@ class Telemetry:
             0.0,
             0.0,
             0.0,
-            round(now_s * 1e6),
+            round(self.up_s(now_s) * 1e6),
         )
 
     def _gps_global_origin(self, now_s: float) -> Any:
         lat_deg, lon_deg = self._home_geo()
         alt_mm = round(float(self._autopilot.home_m[2]) * 1e3)
         return mavlink.MAVLink_gps_global_origin_message(
-            round(lat_deg * 1e7), round(lon_deg * 1e7), alt_mm, round(now_s * 1e6)
+            round(lat_deg * 1e7), round(lon_deg * 1e7), alt_mm, round(self.up_s(now_s) * 1e6)
         )
 
     def _system_time(self, now_s: float) -> Any:
-        return mavlink.MAVLink_system_time_message(0, round(now_s * 1e3))
+        return mavlink.MAVLink_system_time_message(0, round(self.up_s(now_s) * 1e3))
 
     def _nav_controller_output(self, now_s: float) -> Any:
         del now_s
@@ -415,7 +439,7 @@ class Telemetry:
     def _estimator_status(self, now_s: float) -> Any:
         flags = _EKF_READY if now_s >= self._autopilot.ready_s else _EKF_ATTITUDE
         return mavlink.MAVLink_estimator_status_message(
-            round(now_s * 1e6), flags, 0.05, 0.05, 0.05, 0.05, 0.0, 0.0, 0.3, 0.3
+            round(self.up_s(now_s) * 1e6), flags, 0.05, 0.05, 0.05, 0.05, 0.0, 0.0, 0.3, 0.3
         )
 
     def _autopilot_version(self, now_s: float) -> Any:

@@ -28,6 +28,8 @@ COMPONENT_ID = int(mavlink.MAV_COMP_ID_AUTOPILOT1)
 _TEXT_MAX = 50
 _ALT_MAX_M = 83_000.0
 _PARAMETERS_PER_POLL = 25
+_BOOT_S = 3.0  # deaf and dumb after a reboot
+_REACHED_AGAIN = 10  # PX4 tells the item reached last so often again, once a second
 _FTP_NAK = 129
 _FTP_FILE_NOT_FOUND = 10
 _FORCE = 21196  # https://mavlink.io/en/messages/common.html#MAV_CMD_COMPONENT_ARM_DISARM
@@ -97,6 +99,9 @@ class VehicleLink:
         self._home_geo_of: tuple[FloatArray, tuple[float, float]] | None = None
         self._texts: list[Said] = []
         self._reached: list[int] = []
+        self._reached_again = 0
+        self._last_reached = -1
+        self._awake_s = -math.inf
         self._parameter_queue: deque[tuple[Link, str]] = deque()
         self._commands = self._command_table()
         kind = autopilot.personality
@@ -117,17 +122,22 @@ class VehicleLink:
             position_hz=position_hz,
             phase_s=phase_s,
             battery_life_s=battery_life_s,
+            plan_ids=lambda: self.missions.plan_ids,
         )
         self.telemetry.changed(0.0)
 
     @property
     def wake_s(self) -> float:
         """When :meth:`poll` is due even if nothing has happened."""
+        if math.isfinite(self._awake_s):
+            return self._awake_s
         waiting = self._texts or self._reached or self._parameter_queue or self.autopilot.events
         return -math.inf if waiting else min(self.telemetry.due_s, self.missions.wake_s)
 
     def receive(self, message: Any, link: Link, now_s: float) -> list[Outgoing]:
         """Obey one message; return the replies."""
+        if now_s < self._awake_s:
+            return []
         target = getattr(message, "target_system", 0)
         component = getattr(message, "target_component", 0)
         if target not in (0, self.sysid) or component not in (0, COMPONENT_ID):
@@ -135,12 +145,17 @@ class VehicleLink:
         if isinstance(message, _MISSION_MESSAGES):
             if getattr(message, "current", 0) == 2 and isinstance(message, mavlink.MAVLink_mission_item_message):
                 return self._guided_item(message, link, now_s)
+            if isinstance(message, mavlink.MAVLink_mission_count_message):
+                self._last_reached = -1
             return self.missions.receive(message, link, now_s)
         handler = self._HANDLERS.get(type(message))
         return [] if handler is None else handler(self, message, link, now_s)
 
     def poll(self, now_s: float) -> list[Outgoing]:
         """Return what is due: retries of the mission protocol, parameters, texts, telemetry."""
+        if now_s < self._awake_s:
+            return []
+        self._awake_s = -math.inf
         out = self.missions.poll(now_s) if now_s >= self.missions.wake_s else []
         for event in self.autopilot.events:
             match event:
@@ -150,6 +165,7 @@ class VehicleLink:
                     if self.autopilot.personality.one_reached_slot:
                         self._reached.clear()
                     self._reached.append(seq)
+                    self._last_reached, self._reached_again = seq, 0
         self.autopilot.events.clear()
         for text in self._texts:
             out.append((None, mavlink.MAVLink_statustext_message(text.severity, text.text[:_TEXT_MAX].encode())))
@@ -160,8 +176,32 @@ class VehicleLink:
             link, name = self._parameter_queue.popleft()
             out.append((link, self._parameter_value(name)))
         out.extend((None, message) for message in self.telemetry.changed(now_s))
-        out.extend((None, message) for message in self.telemetry.due(now_s))
+        due = self.telemetry.due(now_s)
+        out.extend((None, message) for message in due)
+        if self._tells_again(due):
+            self._reached_again += 1
+            out.append((None, mavlink.MAVLink_mission_item_reached_message(self._last_reached)))
         return out
+
+    def _tells_again(self, due: Sequence[Any]) -> bool:
+        """Whether the item reached last is told once more, beside a MISSION_CURRENT as PX4 does."""
+        if self.autopilot.personality.one_reached_slot or not 0 <= self._last_reached < len(self.autopilot.mission):
+            return False
+        return self._reached_again < _REACHED_AGAIN and any(
+            isinstance(message, mavlink.MAVLink_mission_current_message) for message in due
+        )
+
+    def reboot(self, now_s: float) -> None:
+        """Lose what is not stored, and be silent for some seconds."""
+        self._awake_s = now_s + _BOOT_S
+        self._texts.clear()
+        self._reached.clear()
+        self._last_reached = -1
+        self._parameter_queue.clear()
+        self.autopilot.reboot(now_s)
+        self.missions.reboot(now_s)
+        self.telemetry.reboot(self._awake_s)
+        self.telemetry.changed(now_s)
 
     # -- home --------------------------------------------------------------------------------------------------------
 
@@ -205,7 +245,7 @@ class VehicleLink:
     def _timesync(self, message: Any, link: Link, now_s: float) -> list[Outgoing]:
         if message.tc1 != 0:
             return []
-        return [(link, mavlink.MAVLink_timesync_message(round(now_s * 1e9), message.ts1))]
+        return [(link, mavlink.MAVLink_timesync_message(round(self.telemetry.up_s(now_s) * 1e9), message.ts1))]
 
     def _ping(self, message: Any, link: Link, now_s: float) -> list[Outgoing]:
         del now_s
@@ -355,6 +395,7 @@ class VehicleLink:
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._do_set_message_interval,
             mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._do_get_message_interval,
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._do_request_capabilities,
+            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._do_reboot,
         }
 
     def _do_arm_disarm(self, command: _Command, now_s: float, replies: list[Any]) -> int:
@@ -473,6 +514,15 @@ class VehicleLink:
     def _do_request_capabilities(self, command: _Command, now_s: float, replies: list[Any]) -> int:
         del command
         replies.append(self.telemetry.build(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION, now_s))
+        return _ACCEPTED
+
+    def _do_reboot(self, command: _Command, now_s: float, replies: list[Any]) -> int:
+        del replies
+        if command.params[0] != 1.0:
+            return _UNSUPPORTED
+        if self.autopilot.armed:
+            return self.autopilot.personality.refusal
+        self.reboot(now_s)
         return _ACCEPTED
 
     _HANDLERS: ClassVar[dict[type, Callable[[VehicleLink, Any, Link, float], list[Outgoing]]]] = {

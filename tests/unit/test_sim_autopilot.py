@@ -63,10 +63,46 @@ def test_ardupilot_hides_an_item_reached_behind_a_do_item() -> None:
     assert "Mission: 1 Takeoff" in said
 
 
-def test_px4_reports_every_item() -> None:
+def test_px4_reports_every_item_and_the_last_one_again() -> None:
     ground = flying("px4")
     ground.fly_mission()
-    assert [m.seq for m in of_type(ground.heard, "MISSION_ITEM_REACHED")] == [0, 1, 2, 3, 4]
+    ground.run(20.0)
+    reached = [m.seq for m in of_type(ground.heard, "MISSION_ITEM_REACHED")]
+    assert list(dict.fromkeys(reached)) == sorted(set(reached)) == [0, 1, 2, 3, 4]
+    assert reached.count(4) == 11  # MavlinkMissionManager::send: "another 10 times"
+    ground.upload(mission("px4"))
+    assert not of_type(ground.run(5.0), "MISSION_ITEM_REACHED")
+
+
+@BOTH
+def test_a_reboot_loses_what_is_not_stored(autopilot: Autopilot) -> None:
+    ground = Ground(autopilot)
+    ground.upload(mission(autopilot))
+    ground.run(20.0)
+    ground.send(mavlink.MAVLink_mission_count_message(1, 1, 3, mavlink.MAV_MISSION_TYPE_RALLY))
+    assert ground.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0) == ACCEPTED
+    assert ground.send(mavlink.MAVLink_mission_request_list_message(1, 1)) == []
+    assert ground.run(2.9) == []
+    heard = ground.run(4.0)
+    assert ground.arm() != ACCEPTED
+    heard += ground.run(5.0)
+    assert not of_type(heard, "MISSION_REQUEST") and not of_type(heard, "MISSION_ACK")
+    boots = [m.time_boot_ms for m in of_type(heard, "GLOBAL_POSITION_INT")]
+    assert 0 <= min(boots) <= max(boots) < 9_500  # its clock starts anew
+    assert len(ground.vehicle.missions.items()) == len(mission(autopilot))
+    ground.run(35.0)
+    assert ground.mode("GUIDED" if autopilot == "ardupilot" else "POSCTL") == ACCEPTED
+    assert ground.arm() == ACCEPTED
+    assert ground.command(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 1.0) != ACCEPTED  # armed
+
+
+def test_a_reboot_in_the_air_is_a_fall() -> None:
+    ground = flying("ardupilot")
+    ground.vehicle.reboot(ground.fleet.now_s)
+    ground.run(30.0)
+    assert ground.autopilot.landed and not ground.autopilot.armed
+    assert ground.autopilot.position_m[2] == pytest.approx(584.0, abs=0.1)
+    assert ground.autopilot.mission_state is MissionState.NOT_STARTED
 
 
 def test_takeoff_sent_to_ardupilot_as_seq_0_is_lost() -> None:
