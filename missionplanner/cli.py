@@ -16,7 +16,7 @@ from contextlib import AbstractContextManager, ExitStack, closing, contextmanage
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.progress import Progress, TaskID
@@ -28,12 +28,11 @@ from missionplanner.terminal import Told, print_json, progress_bars, stderr, std
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
     from adapters.certificates import Held
     from adapters.endpoint import Endpoint
-    from adapters.fleet_link import Clock, FleetLink, Order, VehicleStatus
+    from adapters.fleet_link import Clock, FleetLink
     from adapters.sitl import SitlFleet
     from missionplanner.certificate import Certificate
     from missionplanner.flight_check import FlightCheck
     from missionplanner.mission import Mission
-    from missionplanner.pacing import Pacer
     from missionplanner.plan import FleetFlight, FleetPlan
     from missionplanner.scene import Scene
     from sim.fleet import SimVehicle
@@ -48,7 +47,6 @@ app = typer.Typer(
 )
 app.add_typer(experiment_commands.app, name="experiment")
 FILES, LOGS, SITL = "files", "logs", "sitl"
-_ORDERS = ("auto", "hold", "land", "rtl")
 
 MissionFile = Annotated[Path, typer.Argument(metavar="MISSION", help="mission file (YAML)")]
 PlanFolder = Annotated[Path, typer.Argument(metavar="FOLDER", help="plan folder")]
@@ -222,6 +220,13 @@ def sim(
     down: Annotated[
         list[str] | None, typer.Option(metavar="FROM_S,FOR_S", help="the link is down, in simulated time")
     ] = None,
+    fault: Annotated[
+        list[str] | None,
+        typer.Option(metavar="'vehicle N: FAULT'", help="a vehicle misbehaves, e.g. 'vehicle 2: reboot at item 5'"),
+    ] = None,
+    cold_start: Annotated[
+        bool, typer.Option("--cold-start", help="vehicles get ready as slowly as after power-up")
+    ] = False,
     signing_key: SigningKey = None,
 ) -> None:
     """Serve simulated vehicles to any ground station until interrupted."""
@@ -229,13 +234,16 @@ def sim(
     from missionplanner.geodesy import GeoPoint
     from sim.faults import Faults, bad_links
     from sim.fleet import SimFleet, connect_fleet, listen_fleet, serve, sim_vehicles
+    from sim.misbehaviour import faults_of
 
     if (connect is None) == (listen is None):
         raise MissionError("sim: expected exactly one of --connect and --listen")
     lat_deg, lon_deg, alt_amsl_m = _home(home)
     place = GeoPoint(lat_deg, lon_deg, alt_amsl_m)
+    plain = sim_vehicles(vehicles, place, autopilot=autopilot, vehicle_class=vehicle_class, spacing_m=spacing_m)
+    misbehaviour = faults_of(fault or [], [v.sysid for v in plain])
     fleet = SimFleet(
-        sim_vehicles(vehicles, place, autopilot=autopilot, vehicle_class=vehicle_class, spacing_m=spacing_m), seed=seed
+        [replace(v, faults=misbehaviour.get(v.sysid, ())) for v in plain], seed=seed, cold_start=cold_start
     )
     faults = Faults(
         loss, duplicate, reorder, corrupt, delay_ms / 1e3, jitter_ms / 1e3, baud, tuple(map(_down, down or []))
@@ -347,6 +355,7 @@ def fly(
     from adapters.sitl import SitlFleet
     from adapters.sitl_instances import sitl_programs
     from missionplanner.flight_check import check_flight
+    from missionplanner.flight_console import fly_and_watch
     from missionplanner.pacing import pacer
     from missionplanner.plan_folder import save_flight
     from missionplanner.report import write_report
@@ -387,7 +396,12 @@ def fly(
         _transfer(link, scene, fleet_plan, unproven=unproven)
         try:
             keeps = pacer(scene, fleet_plan, correct=correct)
-            flight = _start_and_watch(link, fleet_plan, keeps, simulated=connect is None)
+            simulated = connect is None
+
+            def start_s(tell: Callable[[str], None]) -> float | None:
+                return None if simulated else _start_on_clock(link, fleet_plan, tell)
+
+            flight = fly_and_watch(link, fleet_plan, keeps, folder, simulated=simulated, start_s=start_s)
         finally:
             recorded = link.flight()
             if all(len(vehicle.trajectory.t_s) for vehicle in recorded.vehicles):
@@ -568,27 +582,6 @@ def _transfer_bars(progress: Progress, what: str) -> Callable[[str, int, int], N
     return show
 
 
-def _start_and_watch(link: FleetLink, fleet_plan: FleetPlan, pacer: Pacer, *, simulated: bool) -> FleetFlight:
-    """Start all together and watch until all have ended; an interrupt asks what the vehicles shall do."""
-    failure: LinkError | None = None
-    try:
-        with stderr.status("waiting until all can be armed") as status:
-            at_s = None if simulated else _start_on_clock(link, fleet_plan, status.update)
-            link.start(lambda name, missing: status.update(f"{name}: {missing}"), at_s=at_s)
-    except LinkError as error:
-        if not link.armed:
-            raise
-        failure = error  # somebody did not answer when the start was called off, and may be flying
-        print(f"missionplanner: {error}; watching", file=sys.stderr)
-    except KeyboardInterrupt:
-        _leave(link, simulated=simulated)
-        raise
-    flight = _watch(link, fleet_plan, pacer, simulated=simulated)
-    if failure is not None:
-        raise failure
-    return flight
-
-
 def _start_on_clock(link: FleetLink, fleet_plan: FleetPlan, tell: Callable[[str], None]) -> float | None:
     """Return when, on the link's clock, the mission must start to arrive at ``fleet.arrival_utc``; None: at once."""
     start = _clock_start(fleet_plan, datetime.now(UTC))
@@ -618,54 +611,6 @@ def _clock_start(fleet_plan: FleetPlan, now: datetime) -> datetime | None:
             f"{earliest:%Y-%m-%d %H:%M:%S} UTC, and preparing takes a minute or more"
         )
     return start
-
-
-def _watch(link: FleetLink, fleet_plan: FleetPlan, pacer: Pacer, *, simulated: bool) -> FleetFlight:
-    with progress_bars() as progress:
-        ends_s = {vehicle.sysid: float(vehicle.trajectory.t_s[-1]) for vehicle in fleet_plan.vehicles}
-        bars = {v.sysid: progress.add_task(f"flying {v.name}", total=ends_s[v.sysid]) for v in fleet_plan.vehicles}
-
-        def show(fleet: Sequence[VehicleStatus]) -> None:
-            for vehicle in fleet:
-                done_s = ends_s[vehicle.sysid] if vehicle.landed else (vehicle.t_s or 0.0)
-                pace = vehicle.pace
-                late = "" if pace is None or pace.lateness_s is None else f" {pace.lateness_s:+.1f} s"
-                progress.update(bars[vehicle.sysid], completed=done_s, description=f"flying {vehicle.name}{late}")
-
-        def tell(text: str) -> None:
-            progress.console.print(text, soft_wrap=True, highlight=False, markup=False)
-
-        try:
-            return link.watch(show, pacer=pacer, tell=tell)
-        except KeyboardInterrupt:
-            progress.stop()
-            _leave(link, simulated=simulated)
-            raise
-
-
-def _leave(link: FleetLink, *, simulated: bool) -> None:
-    """Ask what flying vehicles shall do when the operator interrupts; without a terminal they fly on."""
-    if simulated:
-        return
-    try:
-        if grounded := link.call_off():
-            print(
-                f"missionplanner: not started, and left disarmed on the ground: {', '.join(grounded)}", file=sys.stderr
-            )
-    except LinkError as error:
-        print(f"missionplanner: {error}", file=sys.stderr)
-    if not link.armed:
-        print("missionplanner: no vehicle is armed", file=sys.stderr)
-        return
-    choice = "auto" if not sys.stdin.isatty() else ""
-    while choice not in _ORDERS:
-        choice = typer.prompt(f"vehicles are flying: {', '.join(_ORDERS)}? (auto: fly on)", default="auto", err=True)
-    if choice != "auto":
-        link.order(cast("Order", choice))
-    for name in link.release() if choice == "auto" else []:
-        print(f"missionplanner: {name} stood to lose time, and goes on", file=sys.stderr)
-    told = "fly on with their missions" if choice == "auto" else f"were sent to {choice} and have confirmed"
-    print(f"missionplanner: the vehicles {told}; nobody watches them now", file=sys.stderr)
 
 
 @app.command()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +17,6 @@ from adapters.fleet_link import FleetLink, VehicleStatus, WallClock, download_mi
 from adapters.mission_items import MissionItem
 from adapters.parameter_protocol import parameter_name
 from adapters.telemetry_log import FleetLog, read_log
-from missionplanner.cli import _leave
 from missionplanner.errors import LinkError
 from missionplanner.plan import FleetFlight, FleetPlan
 from missionplanner.vehicle import Autopilot, Ending, VehicleClass
@@ -823,28 +821,3 @@ def test_a_later_start_whose_answers_are_lost_is_watched() -> None:
     flight = rig.link.watch(tell=told.append)
     assert any("it has left the ground and is watched" in line for line in told)
     assert flight.vehicles[1].landed_s is not None
-
-
-def test_an_operator_who_interrupts_is_told_who_has_not_started(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    rig = Rig(delayed_fleet())
-    rig.upload()
-    rig.link.start()
-    watch_until(rig, 13.0)
-    monkeypatch.setattr("sys.stdin", io.StringIO())
-    _leave(rig.link, simulated=False)
-    told = capsys.readouterr().err
-    assert "not started, and left disarmed on the ground: second" in told
-    assert "the vehicles fly on with their missions" in told
-    assert rig.armed() == [True, False]
-
-
-def test_an_operator_who_interrupts_before_the_start_leaves_nobody_armed(capsys: pytest.CaptureFixture[str]) -> None:
-    rig = Rig(small_fleet("ardupilot", 2))
-    rig.upload()
-    rig.link._station.together({k: rig.link._arming(v) for k, v in rig.link._vehicles.items()})
-    assert rig.armed() == [True, True]
-    _leave(rig.link, simulated=False)
-    assert rig.armed() == [False, False]
-    assert "left disarmed on the ground: uav1, uav2" in capsys.readouterr().err
