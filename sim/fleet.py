@@ -23,6 +23,7 @@ from missionplanner.plan import FleetPlan
 from missionplanner.vehicle import Autopilot as AutopilotName
 from missionplanner.vehicle import MotionModel, VehicleClass, motion_model
 from sim.autopilot import Autopilot, Ground
+from sim.misbehaviour import Fault, MisbehavingLink
 from sim.mission_service import Outgoing
 from sim.personality import personality
 from sim.telemetry import Motion
@@ -47,6 +48,7 @@ class SimVehicle:
     home: GeoPoint
     motion: MotionModel
     late_s: float = 0.0  # how much later than told it takes off
+    faults: tuple[Fault, ...] = ()  # how it misbehaves
 
 
 class SimFleet:
@@ -105,7 +107,8 @@ class SimFleet:
                 late_s=vehicle.late_s,
             )
             phase_s = TICK_S * int(rng.integers(0, round(0.2 / TICK_S)))
-            link = VehicleLink(
+            kind_of_link = partial(MisbehavingLink, faults=vehicle.faults) if vehicle.faults else VehicleLink
+            link = kind_of_link(
                 vehicle.sysid,
                 autopilot,
                 partial(self._motion, i),
