@@ -300,6 +300,14 @@ def _stored_by_ardupilot(item: MissionItem) -> MissionItem:
             return item
 
 
+def _stored_by_arduplane(item: MissionItem) -> MissionItem:
+    """Return what ArduPlane keeps: of a waypoint two radii, in a byte each, and no delay."""
+    stored = _stored_by_ardupilot(item)
+    if item.command != mavlink.MAV_CMD_NAV_WAYPOINT:
+        return stored
+    return replace(stored, param1=0.0, param2=_whole(item.param2) % 256.0, param3=_whole(item.param3) % 256.0)
+
+
 def _whole(value: float) -> float:
     """Return a parameter as a 16-bit field keeps it."""
     return 0.0 if math.isnan(value) else float(min(max(int(value), 0), 65535))
@@ -576,6 +584,7 @@ _ARDUPLANE = replace(
     vehicle_class="plane",
     type_id=mavlink.MAV_TYPE_FIXED_WING,
     modes=_PLANE_MODES,
+    stored=_stored_by_arduplane,
     boot_mode="MANUAL",
     idle_disarm_parameter=None,
     landed_disarm_s=20.0,
