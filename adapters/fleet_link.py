@@ -18,8 +18,9 @@ from adapters.endpoint import Endpoint
 from adapters.fleet_flight import FlightControl, ReadyProgress, WatchProgress
 from adapters.fleet_vehicle import FleetVehicle, Order, VehicleStatus
 from adapters.ground_station import ANSWER_S, Clock, Peer, Station, Steps, TransferProgress, WallClock
+from adapters.guards import breach, fence_limits, limit_breach
 from adapters.mission_items import MissionItem, wire_to_degrees
-from adapters.mission_protocol import MissionUpload, Party, mismatches
+from adapters.mission_protocol import Party, what_is_sent
 from adapters.parameter_protocol import ParameterValue, mismatch
 from adapters.return_settings import Setting, return_settings
 from adapters.telemetry_log import FleetLog
@@ -73,10 +74,13 @@ class FleetLink(FlightControl):
         Raises
         ------
         LinkError
-            Nobody, or not everybody answers; another autopilot or class of vehicle; two vehicles with one sysid.
+            Nobody, or not everybody answers; another autopilot or class of vehicle than planned, or another autopilot
+            than the mission's uid; two vehicles with one sysid.
         """
         names = {sysid: f"{vehicle.plan.name} (sysid {sysid})" for sysid, vehicle in self._vehicles.items()}
         self._station.wait_for(list(self._vehicles), names, timeout_s)
+        goings = {sysid: self._station.identifying(vehicle) for sysid, vehicle in self._vehicles.items()}
+        self._station.together(goings, after_failure="nothing was uploaded")
         for vehicle in self._vehicles.values():
             vehicle.check_identity()
 
@@ -105,7 +109,6 @@ class FleetLink(FlightControl):
             if vehicle.armed:
                 raise vehicle.error("is armed: land and disarm it before giving it a mission; nothing was uploaded")
             vehicle.held = None
-            vehicle.upload = MissionUpload(vehicle.party, vehicle.plan.autopilot, vehicle.items)
         goings = {sysid: self._uploading(vehicle, progress) for sysid, vehicle in self._vehicles.items()}
         self._station.together(goings, after_failure="nothing was armed")
 
@@ -119,6 +122,22 @@ class FleetLink(FlightControl):
         """
         goings = {sysid: self._verifying(vehicle, progress) for sysid, vehicle in self._vehicles.items()}
         self._station.together(goings, after_failure="nothing was armed")
+
+    def send_guards(self, progress: TransferProgress | None = None) -> tuple[str, ...]:
+        """Give every vehicle the fence and rally points of the mission file, read back; return what is to be told.
+
+        A vehicle that is to have no fence may keep its own, if its mission keeps clear of it.
+
+        Raises
+        ------
+        LinkError
+            A vehicle refuses them, or holds others than those sent; or holds a fence or limits of its own that would
+            end its mission; nothing was armed.
+        """
+        told: list[str] = []
+        goings = {k: self._guarding(vehicle, progress, told) for k, vehicle in self._vehicles.items()}
+        self._station.together(goings, after_failure="nothing was armed")
+        return tuple(told)
 
     def set_returns(self, progress: TransferProgress | None = None) -> tuple[ParameterChange, ...]:
         """Set every vehicle to return straight home at its planned height, and read that back.
@@ -147,36 +166,62 @@ class FleetLink(FlightControl):
         found[plan.sysid] = compared(plan.name, plan.motion, held)
 
     def _uploading(self, vehicle: FleetVehicle, progress: TransferProgress | None) -> Steps:
-        upload = vehicle.upload
-        assert upload is not None
-        shown = -1
-        while not upload.done or upload.sent != shown:
-            if upload.sent != shown:
-                shown = upload.sent
-                _tell(progress, vehicle, shown, upload.total)
-            self._station.send(vehicle, upload.poll(self._clock.now_s()))
-            yield
-            vehicle.check_transfer()
+        def tell(done: int, total: int) -> None:
+            _tell(progress, vehicle, done, total)
+
+        return self._station.uploading(vehicle, vehicle.plan.autopilot, vehicle.items, tell)
 
     def _verifying(self, vehicle: FleetVehicle, progress: TransferProgress | None) -> Steps:
         def tell(done: int, _total: int | None) -> None:
             _tell(progress, vehicle, done, len(vehicle.items))
 
         held = yield from self._station.downloading(vehicle, tell)
-        wrong = mismatches(vehicle.items, held, vehicle.plan.autopilot)
-        if wrong:
-            more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
-            command = _command_at(vehicle.items, wrong[0].seq)
-            raise vehicle.error(f"holds another mission than was sent: {wrong[0]}{command}{more}; upload it again")
+        _expect_same(vehicle, vehicle.items, held, mavlink.MAV_MISSION_TYPE_MISSION)
         vehicle.held = held
+
+    def _guarding(self, vehicle: FleetVehicle, progress: TransferProgress | None, told: list[str]) -> Steps:
+        told += vehicle.guard.kept_back
+        name, autopilot = vehicle.plan.name, vehicle.plan.autopilot
+        wanted_by_kind = {
+            mavlink.MAV_MISSION_TYPE_FENCE: vehicle.guard.fence,
+            mavlink.MAV_MISSION_TYPE_RALLY: vehicle.guard.rally,
+        }
+        for kind, wanted in wanted_by_kind.items():
+            what = what_is_sent(kind)
+            held = yield from self._station.downloading(vehicle, mission_type=kind)
+            if not wanted:
+                if kind == mavlink.MAV_MISSION_TYPE_FENCE and (reason := breach(held, self._plan, vehicle.plan)):
+                    raise vehicle.error(
+                        f"holds a fence that would end its mission: {reason}; clear it, or plan inside it"
+                    )
+                continue
+            if vehicle.differing(wanted, held, kind):
+                if vehicle.armed:
+                    raise vehicle.error(f"is armed: land and disarm it before giving it a {what}; nothing was changed")
+                if held:
+                    told.append(f"{name}: its {what} of {len(held)} items was replaced")
+
+                def tell(done: int, total: int) -> None:
+                    _tell(progress, vehicle, done, total)
+
+                yield from self._station.uploading(vehicle, autopilot, wanted, tell, kind)
+                held = yield from self._station.downloading(vehicle, mission_type=kind)
+                _expect_same(vehicle, wanted, held, kind)
+        limits = fence_limits(autopilot)
+        read = yield from self._station.reading_many(vehicle, autopilot, [(parameter,) for parameter in limits])
+        values = {parameter.name: parameter.value for parameter in read if parameter is not None}
+        reason = limit_breach(values, self._plan, vehicle.plan)
+        if reason is not None:
+            raise vehicle.error(f"its own fence would end its mission: {reason}")
 
     def _setting_returns(
         self, vehicle: FleetVehicle, progress: TransferProgress | None, changes: list[ParameterChange]
     ) -> Steps:
         rally = yield from self._station.downloading(vehicle, mission_type=mavlink.MAV_MISSION_TYPE_RALLY)
-        if rally:
+        if vehicle.differing(vehicle.guard.rally, rally, mavlink.MAV_MISSION_TYPE_RALLY):
+            others = "others than the mission's, " if vehicle.guard.rally else ""
             raise vehicle.error(
-                f"holds {len(rally)} rally points, to which it would return instead of its home: clear them"
+                f"holds {len(rally)} rally points, {others}to which it would return instead of its home: clear them"
             )
         motion = vehicle.plan.motion
         settings = return_settings(motion.autopilot, motion.vehicle_class, motion.return_height_m)
@@ -311,6 +356,16 @@ def _finding(
 def _tell(progress: TransferProgress | None, vehicle: FleetVehicle, done: int, total: int) -> None:
     if progress is not None:
         progress(vehicle.plan.name, done, total)
+
+
+def _expect_same(
+    vehicle: FleetVehicle, sent: Sequence[MissionItem], held: Sequence[MissionItem], mission_type: int
+) -> None:
+    wrong = vehicle.differing(sent, held, mission_type)
+    if wrong:
+        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+        first = f"{wrong[0]}{_command_at(sent, wrong[0].seq)}"
+        raise vehicle.error(f"holds another {what_is_sent(mission_type)} than was sent: {first}{more}; upload it again")
 
 
 def _command_at(items: Sequence[MissionItem], seq: int) -> str:

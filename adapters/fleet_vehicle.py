@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.flight_recorder import FlightRecorder, status_text
 from adapters.ground_station import Peer
+from adapters.guards import guard
 from adapters.mission_items import CHANGE_SPEED, TAKEOFF, WAYPOINT, MissionItem, goal_seq, plan_items
 from adapters.mission_protocol import Party
 from missionplanner.errors import LinkError
@@ -95,6 +96,8 @@ class FleetVehicle(Peer):
         self.recorder = FlightRecorder(
             goal_seq(self.items), plan.waypoints_m[-1], plan.motion.waypoint_radius_m + 1.0, fleet.frame
         )
+        self._uid = next((asked.uid for asked in fleet.mission.vehicles if asked.name == plan.name), None)
+        self.guard = guard(fleet, plan)
         self._due_after_s = fleet.mission.fleet.arrives_after_s(plan.name)
         self.asked_to_arm = False
         self.started = False  # seen to fly its mission
@@ -184,12 +187,19 @@ class FleetVehicle(Peer):
         return super().receive(message, now_s)
 
     def check_identity(self) -> None:
-        """Refuse a vehicle of another kind than planned."""
+        """Refuse a vehicle of another kind than planned, two behind one sysid, and any other than the mission's own."""
         autopilot, vehicle_class = self.autopilot, self.vehicle_class
         if (autopilot, vehicle_class) != (self.plan.autopilot, self.plan.vehicle_class):
             raise self.error(
                 f"expected {self.plan.autopilot} {self.plan.vehicle_class}, got {autopilot} {vehicle_class}: "
                 "the wrong vehicle, or correct the mission file and plan again; nothing was uploaded"
+            )
+        self.check_alone()
+        if self._uid is not None and self._uid not in self.unique_ids:
+            told = " or ".join(sorted(self.unique_ids)) or "none"
+            raise self.error(
+                f"expected the autopilot with uid {self._uid}, got {told}: the wrong vehicle, or correct the mission "
+                "file's uid; nothing was uploaded"
             )
 
     def lacks(self, now_s: float) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from adapters.command_protocol import Command
 from adapters.endpoint import Endpoint
 from adapters.mission_items import MissionItem
-from adapters.mission_protocol import MissionDownload, MissionUpload, Party
+from adapters.mission_protocol import Mismatch, MissionDownload, MissionUpload, Party, mismatches, what_is_sent
 from adapters.parameter_protocol import ParameterList, ParameterRead, ParameterSet, ParametersRead, ParameterValue
 from adapters.pymavlink_link import PymavlinkLink
 from adapters.return_settings import Setting
@@ -65,8 +65,12 @@ class WallClock:
 
 
 WAIT_S = 0.05
+_UPLOADS = 3  # of what may have been taken, but reads back otherwise
+_SETBACK_MS = 5_000  # no link holds a message for so long while it lets later ones through
+_TWO = "give each vehicle its own sysid (ArduPilot SYSID_THISMAV, PX4 MAV_SYS_ID)"
 LISTEN_S = 2.5  # two heartbeats: long enough to hear a second vehicle with the same sysid
 ANSWER_S = 7.0
+VERSION_S = 1.0  # from the answer to a request for AUTOPILOT_VERSION to that message
 
 _AUTOPILOTS: dict[int, Autopilot] = {
     mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot",
@@ -82,11 +86,16 @@ class Peer:
     def __init__(self, party: Party) -> None:
         self.party = party
         self.heartbeat: Message | None = None
-        self.upload: MissionUpload | None = None
+        self.uploads: dict[
+            int, MissionUpload
+        ] = {}  # by what was sent; served on when done, if its last words were lost
         self.download: MissionDownload | None = None
         self.command: Command | None = None
         self.parameter: ParameterRead | ParametersRead | ParameterList | ParameterSet | None = None
+        self.unique_ids: set[str] = set()  # as it has told, in hexadecimal digits
         self._refusal: LinkError | None = None
+        self._boot_ms = 0
+        self._setbacks = 0  # of its clock
 
     @property
     def armed(self) -> bool:
@@ -130,12 +139,18 @@ class Peer:
         """Take one message of this vehicle and return what to answer."""
         if message.get_type() == "HEARTBEAT":
             self.heartbeat = message
+        if message.get_type() == "AUTOPILOT_VERSION":
+            self.unique_ids |= _unique_ids(message)
+        boot_ms = getattr(message, "time_boot_ms", None)
+        if boot_ms is not None:
+            self._setbacks += boot_ms + _SETBACK_MS < self._boot_ms
+            self._boot_ms = boot_ms
         if self.command is not None:
             self.command.receive(message, now_s)
         if self.parameter is not None:
             self.parameter.receive(message, now_s)
         replies: list[Message] = []
-        for transfer in (self.upload, self.download):
+        for transfer in (*self.uploads.values(), self.download):
             if transfer is not None and self._refusal is None:
                 try:
                     replies += transfer.receive(message, now_s)
@@ -147,8 +162,39 @@ class Peer:
         """Raise what the vehicle has answered to its transfer, if it was a refusal."""
         if self._refusal is not None:
             refusal, self._refusal = self._refusal, None
-            self.upload = self.download = None
+            self.uploads.clear()
+            self.download = None
             raise refusal
+
+    def differing(
+        self, sent: Sequence[MissionItem], held: Sequence[MissionItem], mission_type: int = 0
+    ) -> list[Mismatch]:
+        """Return how what was read back differs from what was sent, but for what its firmware is known to rewrite."""
+        autopilot, vehicle_class = self.known_kind()
+        return mismatches(sent, held, autopilot, vehicle_class, mission_type=mission_type)
+
+    def check_alone(self) -> None:
+        """Refuse a sysid that two autopilots share, though both are heard from one address.
+
+        Raises
+        ------
+        LinkError
+            It has told two unique ids, or its clock has been set back more than once.
+        """
+        for digits in (36, 16):
+            told = sorted(uid for uid in self.unique_ids if len(uid) == digits)
+            if len(told) > 1:
+                raise self.error(f"expected one autopilot, got answers of two ({' and '.join(told[:2])}): {_TWO}")
+        if self._setbacks > 1:
+            raise self.error(
+                f"expected one autopilot, heard two by turns (times since start go back and forth): {_TWO}"
+            )
+
+
+def _unique_ids(message: Message) -> set[str]:
+    """Return what AUTOPILOT_VERSION tells of who it is: uid2 and uid, where they are not left empty."""
+    long, short = bytes(message.uid2), int(message.uid)
+    return {text for text, given in ((long.hex(), any(long)), (f"{short:016x}", short)) if given}
 
 
 AnyPeer = TypeVar("AnyPeer", bound=Peer)
@@ -251,6 +297,56 @@ class Station(Generic[AnyPeer]):
             yield
         peer.command = None
         return command.result
+
+    def identifying(self, peer: Peer) -> Steps:
+        """Ask for its unique id, as either of two generations of firmware has to be asked; it may have none."""
+        for number, param in (
+            (mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)),
+            (mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1.0),
+        ):
+            result = yield from self.commanding(peer, number, param)
+            if result == mavlink.MAV_RESULT_ACCEPTED:
+                break
+        end_s = self.clock.now_s() + VERSION_S
+        while self.clock.now_s() < end_s:  # to the end: a second autopilot may answer too
+            yield
+
+    def uploading(
+        self,
+        peer: Peer,
+        autopilot: Autopilot,
+        items: Sequence[MissionItem],
+        tell: Callable[[int, int], None] = lambda done, total: None,
+        mission_type: int = mavlink.MAV_MISSION_TYPE_MISSION,
+    ) -> Steps:
+        """Give it a mission, fence or rally points; where only its last answer is missing, it is asked what it holds.
+
+        Raises
+        ------
+        LinkError
+            It refuses, falls silent, or never takes all of it.
+        """
+        for _ in range(_UPLOADS):
+            upload = MissionUpload(peer.party, autopilot, items, mission_type=mission_type)
+            peer.uploads[mission_type] = upload
+            shown = -1
+            while not upload.done or upload.sent != shown:
+                if upload.sent != shown:
+                    shown = upload.sent
+                    tell(shown, upload.total)
+                self.send(peer, upload.poll(self.clock.now_s()))
+                yield
+                peer.check_transfer()
+            if upload.confirmed:
+                return
+            held = yield from self.downloading(peer, mission_type=mission_type)
+            wrong = peer.differing(items, held, mission_type)
+            if not wrong:
+                return
+        raise peer.error(
+            f"never confirmed the {what_is_sent(mission_type)}, and holds another: {wrong[0]}; check the link, and "
+            "upload again"
+        )
 
     def downloading(
         self,

@@ -9,8 +9,9 @@ fence, ours or one that a vehicle holds already, :func:`breach` says whether the
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -26,7 +27,7 @@ from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.mission import Place
 from missionplanner.plan import FleetPlan, VehiclePlan
-from missionplanner.vehicle import deviation_m
+from missionplanner.vehicle import Autopilot, deviation_m
 
 INCLUSION_VERTEX = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
 EXCLUSION_VERTEX = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION
@@ -34,6 +35,18 @@ INCLUSION_CIRCLE = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION
 EXCLUSION_CIRCLE = mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
 RETURN_POINT = mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT
 RALLY_POINT = mavlink.MAV_CMD_NAV_RALLY_POINT
+_Limit = Literal["", "highest", "farthest", "lowest"]
+_LIMITS: dict[Autopilot, dict[str, _Limit]] = {
+    "ardupilot": {
+        "FENCE_ENABLE": "",
+        "FENCE_AUTOENABLE": "",
+        "FENCE_TYPE": "",
+        "FENCE_ALT_MAX": "highest",
+        "FENCE_RADIUS": "farthest",
+        "FENCE_ALT_MIN": "lowest",
+    },
+    "px4": {"GF_ACTION": "", "GF_MAX_VER_DIST": "highest", "GF_MAX_HOR_DIST": "farthest"},
+}
 _EARTH_M = 6_371_000.0
 _CORNERS_MIN = 3
 
@@ -113,6 +126,27 @@ def breach(fence: Sequence[MissionItem], plan: FleetPlan, vehicle: VehiclePlan) 
     return None
 
 
+def fence_limits(autopilot: Autopilot) -> tuple[str, ...]:
+    """Return the parameters that say how high and how far from home a vehicle lets itself fly."""
+    return tuple(_LIMITS[autopilot])
+
+
+def limit_breach(held: Mapping[str, float], plan: FleetPlan, vehicle: VehiclePlan) -> str | None:
+    """Return how a planned flight would breach the limits that its vehicle holds: :func:`fence_limits`; None: not."""
+    if vehicle.autopilot == "ardupilot":
+        enabled = held.get("FENCE_ENABLE", 0.0) or held.get("FENCE_AUTOENABLE", 0.0)
+        kinds = int(held.get("FENCE_TYPE", 0.0)) if enabled else 0
+        active = {"FENCE_ALT_MAX": kinds & 1, "FENCE_RADIUS": kinds & 2, "FENCE_ALT_MIN": kinds & 8}
+    else:
+        acts = held.get("GF_ACTION", 0.0) > 0.0
+        active = {name: acts and held.get(name, 0.0) > 0.0 for name in ("GF_MAX_VER_DIST", "GF_MAX_HOR_DIST")}
+    flight = _Flight(plan, vehicle)
+    for name, is_active in active.items():
+        if is_active and name in held and (problem := flight.beyond(_LIMITS[vehicle.autopilot][name], held[name])):
+            return f"{problem} ({name}): change it on the vehicle, or plan within it"
+    return None
+
+
 def area_items(areas: Sequence[Area]) -> tuple[MissionItem, ...]:
     """Return areas as the items of a fence."""
     items = []
@@ -187,12 +221,28 @@ class _Flight:
         self._waypoints_m = np.vstack([vehicle.home_m, vehicle.waypoints_m])[:, :2]
         flown_m = vehicle.trajectory.position_m[:, :2]
         self._track_m = np.concatenate([_segments(self._waypoints_m), _segments(flown_m)])
+        heights_m = vehicle.waypoints_m[:, 2] - vehicle.home_m[2]
+        self._highest_m, self._lowest_m = float(heights_m.max()), float(heights_m.min())
+        self._return_height_m = vehicle.motion.return_height_m
         self._aside_m = 0.0
         if vehicle.vehicle_class == "plane":
             highest_m = float(vehicle.trajectory.position_m[:, 2].max())
             self._aside_m = vehicle.motion.aside_m(
                 vehicle.motion.cruise_speed_m_s, highest_m, plan.mission.wind_strongest_m_s
             )
+
+    def beyond(self, limit: _Limit, bound_m: float) -> str | None:
+        """Return what is wrong with a bound on heights above home, or on the distance from it."""
+        if limit == "farthest":
+            away_m = float(np.hypot(*(self._track_m.reshape(-1, 2) - self._home_m).T).max()) + self._reach_m
+            return f"it flies {away_m:.0f} m from home, at most {bound_m:g} m are allowed" if away_m > bound_m else None
+        if limit == "highest":
+            high_m = max(self._highest_m, self._return_height_m) + self._reach_m
+            return (
+                f"it flies {high_m:.0f} m above home, at most {bound_m:g} m are allowed" if high_m > bound_m else None
+            )
+        low_m = self._lowest_m - self._reach_m
+        return f"it flies {low_m:.0f} m above home, at least {bound_m:g} m are asked for" if low_m < bound_m else None
 
     def breach(self, area: Area) -> str | None:
         """Return what is wrong where the mission is flown."""

@@ -572,10 +572,12 @@ _KEPT: dict[Autopilot, dict[int, tuple[str, ...]]] = {
     },
     "px4": {
         WAYPOINT: ("param1", "param2", "param4", *_PLACE),
-        LOITER_UNLIMITED: ("param3", *_PLACE),
+        LOITER_UNLIMITED: ("param3", "param4", *_PLACE),
+        mavlink.MAV_CMD_NAV_LOITER_TIME: ("param1", "param2", "param3", *_PLACE),
         RETURN_TO_LAUNCH: (),
-        LAND: _PLACE,
+        LAND: ("param2", "param4", *_PLACE),
         TAKEOFF: ("param4", *_PLACE),
+        mavlink.MAV_CMD_NAV_LOITER_TO_ALT: ("param1", "param2", *_PLACE),
         mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: ("param1", "x", "y"),
         mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: ("param1", "x", "y"),
         mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: ("param1", "x", "y"),
@@ -602,7 +604,10 @@ _INTEGER_PARAMS: dict[Autopilot, dict[int, tuple[str, ...]]] = {
     },
     "px4": {},
 }
-_YAW: dict[Autopilot, tuple[int, ...]] = {"ardupilot": (), "px4": (WAYPOINT, TAKEOFF)}  # p4, given back in 0 to 360
+_YAW: dict[Autopilot, tuple[int, ...]] = {
+    "ardupilot": (),
+    "px4": (WAYPOINT, LOITER_UNLIMITED, LAND, TAKEOFF),
+}  # p4, given back in 0 to 360
 _ALTITUDE_TOLERANCE_M: dict[Autopilot, float] = {
     "ardupilot": 0.011,  # stores centimetres, truncated, of a single-precision number
     "px4": 1e-3,

@@ -291,7 +291,7 @@ def _items(frame: LocalFrame, points_m: FloatArray) -> tuple[MissionItem, ...]:
 
 def _sent_off(station: Station[Peer], peer: Peer, items: Sequence[MissionItem]) -> Steps:
     """Upload a mission and start it."""
-    upload = peer.upload = MissionUpload(peer.party, "ardupilot", items)
+    upload = peer.uploads[0] = MissionUpload(peer.party, "ardupilot", items)
     while not upload.done:
         station.send(peer, upload.poll(station.clock.now_s()))
         yield
