@@ -11,9 +11,9 @@ import logging
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -29,11 +29,12 @@ if TYPE_CHECKING:  # the planner takes a second to import: commands that do with
     from adapters.certificates import Held
     from adapters.endpoint import Endpoint
     from adapters.fleet_link import Clock, FleetLink
+    from adapters.fleet_vehicle import Order
     from adapters.sitl import SitlFleet
     from missionplanner.certificate import Certificate
     from missionplanner.flight_check import FlightCheck
     from missionplanner.mission import Mission
-    from missionplanner.plan import FleetFlight, FleetPlan
+    from missionplanner.plan import FleetFlight, FleetPlan, Ordered
     from missionplanner.scene import Scene
     from sim.fleet import SimVehicle
 
@@ -611,6 +612,69 @@ def _clock_start(fleet_plan: FleetPlan, now: datetime) -> datetime | None:
             f"{earliest:%Y-%m-%d %H:%M:%S} UTC, and preparing takes a minute or more"
         )
     return start
+
+
+@app.command()
+def command(
+    order: Annotated[Literal["pause", "resume", "rtl", "land"], typer.Argument(help="what the vehicles shall do")],
+    folder: PlanFolder,
+    vehicle: Annotated[
+        list[str] | None, typer.Option("--vehicle", metavar="NAME", help="only this one; may be repeated; default: all")
+    ] = None,
+    connect: Annotated[
+        str | None,
+        typer.Option(metavar="URL[,URL...]", help="straight to the vehicles; default: by the fly that watches them"),
+    ] = None,
+    signing_key: SigningKey = None,
+    as_json: AsJson = False,
+) -> None:
+    """Tell a flying fleet to pause, resume, return (rtl) or land; exit code 4 where one did not obey."""
+    from adapters.fleet_flight import Request
+    from adapters.order_box import give_order
+    from missionplanner.flight_console import ORDERS_FOLDER
+
+    names = frozenset(vehicle or ())
+    if connect is None:
+        outcomes = give_order(folder / ORDERS_FOLDER, Request(order, names), time.sleep)
+    else:
+        outcomes = _command_vehicles(order, folder, names, connect, signing_key)
+    _expect_names(names, [outcome.vehicle for outcome in outcomes])
+    if as_json:
+        print_json({"orders": [asdict(outcome) for outcome in outcomes]})
+    else:
+        for outcome in outcomes:
+            stdout.print(outcome.words, soft_wrap=True, highlight=False, markup=False)
+    failed = [outcome.vehicle for outcome in outcomes if outcome.result in ("refused", "silent")]
+    if failed:
+        _warn(f"{order}: expected all to obey, {', '.join(failed)} did not: take over by hand")
+        raise typer.Exit(LinkError.exit_code)
+
+
+def _expect_names(names: Collection[str], known: Collection[str]) -> None:
+    if unknown := [name for name in names if name not in known]:
+        raise MissionError(f"--vehicle: expected vehicles of the plan, got {', '.join(sorted(unknown))}: none of them")
+
+
+def _command_vehicles(
+    order: Order, folder: Path, names: frozenset[str], connect: str, signing_key: Path | None
+) -> tuple[Ordered, ...]:
+    """Give an order as a ground station of our own; nobody is resumed who does not hold its mission."""
+    from adapters.fleet_link import FleetLink, WallClock
+    from missionplanner.plan_folder import load_plan
+
+    scene, fleet_plan = load_plan(folder)
+    _expect_names(names, [vehicle.name for vehicle in fleet_plan.vehicles])
+    if names:
+        fleet_plan = replace(fleet_plan, vehicles=tuple(v for v in fleet_plan.vehicles if v.name in names))
+    home_tolerance_m = min(task.limits.tube_m for task in scene.tasks)
+    with _links(connect, signing_key) as endpoints:
+        link = FleetLink(fleet_plan, endpoints, WallClock(endpoints), home_tolerance_m=home_tolerance_m)
+        with stderr.status("looking for the vehicles"):
+            link.connect()
+        if order == "resume":
+            with progress_bars() as progress:
+                link.verify(_transfer_bars(progress, "verifying"))
+        return link.order(order)
 
 
 @app.command()
