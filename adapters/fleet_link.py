@@ -13,6 +13,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from adapters.backup import Saved, saving
 from adapters.command_protocol import command_name
 from adapters.endpoint import Endpoint
 from adapters.fleet_flight import FlightControl, ReadyProgress, WatchProgress
@@ -97,6 +98,19 @@ class FleetLink(FlightControl):
         self._station.together(goings, after_failure="nothing was uploaded")
         return tuple(found[sysid] for sysid in self._vehicles)
 
+    def holdings(self, progress: TransferProgress | None = None) -> tuple[Saved, ...]:
+        """Read all missions, fences and rally points that the vehicles hold, as a backup.
+
+        Raises
+        ------
+        LinkError
+            A vehicle does not answer; nothing was changed.
+        """
+        found: dict[int, Saved] = {}
+        goings = {sysid: self._saving(vehicle, progress, found) for sysid, vehicle in self._vehicles.items()}
+        self._station.together(goings, after_failure="nothing was uploaded")
+        return tuple(found[sysid] for sysid in self._vehicles)
+
     def upload(self, progress: TransferProgress | None = None) -> None:
         """Give every vehicle its mission, all at the same time.
 
@@ -164,6 +178,9 @@ class FleetLink(FlightControl):
         plan = vehicle.plan
         held = yield from reading_motion(self._station, vehicle, plan.autopilot, plan.vehicle_class)
         found[plan.sysid] = compared(plan.name, plan.motion, held)
+
+    def _saving(self, vehicle: FleetVehicle, progress: TransferProgress | None, found: dict[int, Saved]) -> Steps:
+        found[vehicle.plan.sysid] = yield from saving(self._station, vehicle, progress)
 
     def _uploading(self, vehicle: FleetVehicle, progress: TransferProgress | None) -> Steps:
         def tell(done: int, total: int) -> None:

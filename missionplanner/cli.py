@@ -57,6 +57,12 @@ Seed = Annotated[int | None, typer.Option("--seed", min=0, help="seed of the sea
 Output = Annotated[
     Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="default: out/NAME of the mission")
 ]
+Backup = Annotated[
+    Path | None,
+    typer.Option(
+        "--backup", metavar="FOLDER", help="first save there what the vehicles hold: missions, fences, rally points"
+    ),
+]
 Unproven = Annotated[
     bool, typer.Option("--unproven", help="send missions although they are not proven; it is told and logged")
 ]
@@ -293,12 +299,15 @@ def upload(
     output: Output = None,
     seed: Seed = None,
     unproven: Unproven = False,
+    backup: Backup = None,
     signing_key: SigningKey = None,
     as_json: AsJson = False,
 ) -> None:
     """Upload a plan that is proven, read it back, prove what the vehicles hold; nothing is armed."""
+    _expect_no_backup(backup)
     scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
     with _ground_station(scene, fleet_plan, folder, connect, None, signing_key, unproven=unproven) as link:
+        _save_backup(link, backup)
         _transfer(link, scene, fleet_plan, unproven=unproven)
     if as_json:
         missions = [{"sysid": sysid, "items": len(items), "verified": True} for sysid, items in link.items.items()]
@@ -349,6 +358,7 @@ def fly(
     output: Output = None,
     seed: Seed = None,
     unproven: Unproven = False,
+    backup: Backup = None,
     signing_key: SigningKey = None,
     as_json: AsJson = False,
 ) -> None:
@@ -377,6 +387,7 @@ def fly(
         raise MissionError("--sim-late: expected only with built-in simulated vehicles, not with --sitl")
     programs = sitl_programs(sitl) if sitl else None
     wind_m_s, late_s = _sim_wind(sim_wind), _sim_late(sim_late or [])
+    _expect_no_backup(backup)
     scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
     simulators = None
     if programs is not None:
@@ -394,6 +405,7 @@ def fly(
         vehicles=vehicles,
         simulators=simulators,
     ) as link:
+        _save_backup(link, backup)
         _transfer(link, scene, fleet_plan, unproven=unproven)
         try:
             keeps = pacer(scene, fleet_plan, correct=correct)
@@ -512,12 +524,28 @@ def _ground_station(
         log = stack.enter_context(FleetLog(folder / LOGS, names, time.time() - clock.now_s()))
         if unproven:
             log.note(clock.now_s(), "UNPROVEN mission sent by order of the operator")
-        # who stands further off than its tube is wide does not climb where that was proven
-        home_tolerance_m = min(task.limits.tube_m for task in scene.tasks)
-        link = FleetLink(fleet_plan, endpoints, clock, log=log, home_tolerance_m=home_tolerance_m)
+        link = FleetLink(fleet_plan, endpoints, clock, log=log, home_tolerance_m=_home_tolerance_m(scene))
         with stderr.status("looking for the vehicles"):
             link.connect()
         yield link
+
+
+def _home_tolerance_m(scene: Scene) -> float:
+    """Return how far from its planned home a vehicle may stand: further off, its climb is not proven.
+
+    Raises
+    ------
+    MissionError
+        The mission allows for more than that.
+    """
+    proven_m = min(task.limits.tube_m for task in scene.tasks)
+    asked_m = scene.mission.fleet.home_within_m
+    if asked_m is not None and asked_m > proven_m:
+        raise MissionError(
+            f"fleet.home_within_m: expected at most {proven_m:g}, the radius of the tube that is proven, "
+            f"got {asked_m:g}: raise position_error_m to prove more"
+        )
+    return proven_m if asked_m is None else asked_m
 
 
 def _links(connect: str, signing_key: Path | None) -> AbstractContextManager[list[Endpoint]]:
@@ -537,6 +565,27 @@ def _urls(connect: str) -> list[str]:
     return urls
 
 
+def _expect_no_backup(folder: Path | None) -> None:
+    """Refuse, before long work, a folder that a backup could not be written to."""
+    from adapters.backup import expect_no_backup
+    from missionplanner.files import ensure_writable
+
+    if folder is not None:
+        expect_no_backup(folder)
+        ensure_writable(folder)
+
+
+def _save_backup(link: FleetLink, folder: Path | None) -> None:
+    from adapters.backup import write_backup
+
+    if folder is None:
+        return
+    with progress_bars() as progress:
+        saved = link.holdings(_transfer_bars(progress, "saving"))
+    write_backup(folder, saved, datetime.now(UTC).isoformat(timespec="seconds"))
+    _warn(f"what the vehicles held is in {folder}: restore it with missionplanner restore {folder} --connect URL")
+
+
 def _transfer(link: FleetLink, scene: Scene, fleet_plan: FleetPlan, *, unproven: bool) -> None:
     """Compare parameters, upload all missions, read them back, prove what is held, and set the heights to return at."""
     from adapters.certificates import certify, held_by_vehicles
@@ -551,10 +600,12 @@ def _transfer(link: FleetLink, scene: Scene, fleet_plan: FleetPlan, *, unproven:
             if not unproven:
                 raise InfeasibleError(f"{problem}; nothing was armed")
             _tell_unproven(problem)
+        told = link.send_guards(_transfer_bars(progress, "fencing"))
         changes = link.set_returns(_transfer_bars(progress, "setting return of"))
+    for remark in told:
+        _warn(remark)
     for change in changes:
-        told = f"{change.vehicle}: set {change.name} from {change.before:g} to {change.after:g}; it keeps that"
-        print(f"missionplanner: {told}", file=sys.stderr)
+        _warn(f"{change.vehicle}: set {change.name} from {change.before:g} to {change.after:g}; it keeps that")
 
 
 def _compare_parameters(link: FleetLink, *, unproven: bool) -> None:
@@ -666,15 +717,38 @@ def _command_vehicles(
     _expect_names(names, [vehicle.name for vehicle in fleet_plan.vehicles])
     if names:
         fleet_plan = replace(fleet_plan, vehicles=tuple(v for v in fleet_plan.vehicles if v.name in names))
-    home_tolerance_m = min(task.limits.tube_m for task in scene.tasks)
     with _links(connect, signing_key) as endpoints:
-        link = FleetLink(fleet_plan, endpoints, WallClock(endpoints), home_tolerance_m=home_tolerance_m)
+        link = FleetLink(fleet_plan, endpoints, WallClock(endpoints), home_tolerance_m=_home_tolerance_m(scene))
         with stderr.status("looking for the vehicles"):
             link.connect()
         if order == "resume":
             with progress_bars() as progress:
                 link.verify(_transfer_bars(progress, "verifying"))
         return link.order(order)
+
+
+@app.command()
+def restore(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="backup, as upload and fly --backup write it")],
+    connect: ConnectUrls,
+    signing_key: SigningKey = None,
+    as_json: AsJson = False,
+) -> None:
+    """Give vehicles back the missions, fences and rally points that a backup has of them, and read them back."""
+    from adapters.backup import read_backup
+    from adapters.backup import restore as give_back
+    from adapters.fleet_link import WallClock
+
+    vehicles = read_backup(folder)
+    with _links(connect, signing_key) as endpoints, progress_bars() as progress:
+        sent = give_back(vehicles, endpoints, WallClock(endpoints), progress=_transfer_bars(progress, "restoring"))
+    if as_json:
+        rows = [{"name": v.name, "sysid": v.sysid, "sent": sent[v.sysid], "verified": True} for v in vehicles]
+        print_json({"backup": str(folder), "vehicles": rows})
+        return
+    for vehicle in vehicles:
+        told = ", ".join(sent[vehicle.sysid]) or "nothing had changed"
+        stdout.print(f"{vehicle.name} (sysid {vehicle.sysid}): {told}, verified", highlight=False)
 
 
 @app.command()
