@@ -194,6 +194,29 @@ class _Finds:
         self.add(result.cost, result.path_m, family)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Guesses:
+    """The first guess per section (K, 3), or None where there is none with all that is wished for, and what it took."""
+
+    sections: list[list[FloatArray]] | None
+    graph_s: float
+
+
+def guess(
+    task: VehicleTask, space: SpaceArrays, names: tuple[str, ...], settings: Planner, clock: Clock | None = None
+) -> Guesses:
+    """Return what :func:`find_path` begins with; it asks for it itself, unless it is given it.
+
+    It depends on nobody else's path: those of several vehicles may be looked for at once, in threads.
+    """
+    began_s = clock() if clock is not None else 0.0
+    try:
+        sections = _guess_sections(task, space, names, settings.waypoint_tolerance_m + _EXTRA_M[0], 1.0, 1)
+    except InfeasibleError:
+        sections = None
+    return Guesses(sections, clock() - began_s if clock is not None else 0.0)
+
+
 def find_path(
     task: VehicleTask,
     space: SpaceArrays,
@@ -206,6 +229,7 @@ def find_path(
     on_iteration: Callable[[float], None] | None = None,
     wider_m: float = 0.0,
     budget: Budget | None = None,
+    guesses: Guesses | None = None,
 ) -> PlannedPath:
     """Return a clear, flyable, short and smooth path for one vehicle.
 
@@ -223,6 +247,8 @@ def find_path(
         How much more than the margins is looked for, where there is room.
     budget
         How much longer it goes on improving.
+    guesses
+        What :func:`guess` found for the same task and space, where nothing wider is looked for.
 
     Raises
     ------
@@ -230,7 +256,8 @@ def find_path(
         No clear path was found; the message names the vehicle and what blocks it.
     """
     budget = budget or Budget()
-    seconds = SearchSeconds()
+    seconds = SearchSeconds(graph_s=guesses.graph_s if guesses is not None else 0.0)
+    known = guesses.sections if guesses is not None and wider_m == 0.0 else None
     gentleness = 1.0
     for attempt, more_m in enumerate(_EXTRA_M):
         # the fitted legs may leave the curve by the tolerance
@@ -238,7 +265,7 @@ def find_path(
         finds = _Finds(price_of(extra_m), budget, seconds)
         corner_m = _corner_m(task) / 2**attempt
         try:
-            _guess(task, space, names, extra_m, gentleness, corner_m, finds)
+            _guess(task, space, names, extra_m, gentleness, corner_m, finds, known=known if attempt == 0 else None)
         except InfeasibleError:
             if attempt > 0:
                 break  # there is a way, but no room to hold it closer
@@ -378,10 +405,11 @@ def _guess(
     corner_m: float,
     finds: _Finds,
     count: int = 1,
+    known: list[list[FloatArray]] | None = None,
 ) -> None:
-    """Take the curves around the first guesses that are not known yet, and polish the cheapest few."""
+    """Take the curves around the first guesses that are not tried yet, and polish the cheapest few."""
     with finds.timed("graph_s"):
-        sections = _guess_sections(task, space, names, extra_m, gentleness, count)
+        sections = known or _guess_sections(task, space, names, extra_m, gentleness, count)
         families = _families(sections, corner_m, finds)
     for family in families:
         finds.polished(family.base_m, family)

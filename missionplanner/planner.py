@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Literal, Protocol
@@ -21,13 +22,13 @@ import numpy as np
 from missionplanner import __version__, energy, obstacles, proof, returns, timing, wind
 from missionplanner.certificate import Finding
 from missionplanner.clearance import Margins, distance_to_legs_m, polyline_legs, tubes_clear
-from missionplanner.cost import Price
+from missionplanner.cost import THREADS, Price
 from missionplanner.errors import InfeasibleError, MissionError, MissionPlannerError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 from missionplanner.obstacles import CableSolid, CylinderSolid, Solid
 from missionplanner.path import evenly, length_m
-from missionplanner.path_search import Budget, Clock, PlannedPath, find_path
+from missionplanner.path_search import Budget, Clock, Guesses, PlannedPath, find_path, guess
 from missionplanner.plan import FleetPlan, Resolution, Trajectory, VehiclePlan
 from missionplanner.proof import Conflict
 from missionplanner.returns import Returning, UnreturnableError
@@ -167,10 +168,12 @@ class _Team:
         self._pins: list[_Pin] = []
         self._resolutions: list[Resolution] = []
         self._paths: list[PlannedPath] = []
-        for index in range(len(scene.tasks)):
-            self._paths.append(self._path(index, [], self._paths))
+        for index, guesses in enumerate(_guesses(scene, self._overhead, budget.clock)):
+            self._paths.append(self._path(index, [], self._paths, guesses))
 
-    def _path(self, index: int, avoided: Sequence[Solid], fellows: Sequence[PlannedPath]) -> PlannedPath:
+    def _path(
+        self, index: int, avoided: Sequence[Solid], fellows: Sequence[PlannedPath], guesses: Guesses | None = None
+    ) -> PlannedPath:
         task = self._scene.tasks[index]
         detours = self._detours[index]
         for after in sorted(detours, reverse=True):
@@ -181,7 +184,8 @@ class _Team:
         budget = self._budget.part(_SEARCH_SHARE / waiting)
         task = replace(task, limits=replace(task.limits, climb_angle_rad=self._climb_rad[index]))
         rng, wider_m = self._generators[index], self._wider_m[index]
-        found = _path(self._scene, [*self._overhead, *avoided], task, fellows, rng, self._watch, wider_m, budget)
+        avoided = [*self._overhead, *avoided]
+        found = _path(self._scene, avoided, task, fellows, rng, self._watch, wider_m, budget, guesses)
         if self._searched is not None:
             self._searched(found)
         return found
@@ -688,13 +692,13 @@ def _path(
     watch: Watch | None,
     wider_m: float,
     budget: Budget,
+    guesses: Guesses | None,
 ) -> PlannedPath:
     """Return one vehicle's path around all that stands still and what is to be ``avoided``.
 
     The ways of ``fellows`` are priced as if all flew evenly and arrived together.
     """
-    space = _with(scene.space, avoided)
-    names = (*scene.obstacles.names, *(solid.name for solid in avoided))
+    space, names = _with(scene.space, avoided), _names(scene, avoided)
     fleet = scene.mission.fleet
     if not fleet.arrive_together and fleet.launch_interval_s > 0.0:
         fellows = []  # where they are when, compared with this one, nobody knows yet
@@ -744,7 +748,26 @@ def _path(
         on_iteration,
         wider_m,
         budget,
+        guesses,
     )
+
+
+def _guesses(scene: Scene, avoided: Sequence[Solid], clock: Clock | None) -> Iterator[Guesses]:
+    """Yield what every vehicle's search begins with: the graph's part of the work, on all cores."""
+    space, names = _with(scene.space, avoided), _names(scene, avoided)
+
+    def guessed(task: VehicleTask) -> Guesses:
+        return guess(task, space, names, scene.mission.planner, clock)
+
+    if THREADS == 1 or len(scene.tasks) == 1:
+        yield from map(guessed, scene.tasks)
+        return
+    with ThreadPoolExecutor(THREADS, thread_name_prefix="guess") as pool:
+        yield from pool.map(guessed, scene.tasks)
+
+
+def _names(scene: Scene, avoided: Sequence[Solid]) -> tuple[str, ...]:
+    return (*scene.obstacles.names, *(solid.name for solid in avoided))
 
 
 def _unvisited(scene: Scene) -> Towers | None:

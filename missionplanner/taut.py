@@ -42,8 +42,8 @@ class Rules(NamedTuple):
 
 
 # Wrappers that nobody calls cost a quarter of the compile time.
-OUTER: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True}
-INNER: dict[str, Any] = {**OUTER, "no_cpython_wrapper": True}
+INNER: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True, "no_cpython_wrapper": True}
+OUTER: dict[str, Any] = {"cache": True, "no_cfunc_wrapper": True, "nogil": True}  # several vehicles' at a time
 LEAF: dict[str, Any] = {**INNER, "_nrt": False}  # as kernels.leaf: makes no array, calls only such
 
 # --- kernels -------------------------------------------------------------------------------------------------------
