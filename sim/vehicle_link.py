@@ -19,6 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from adapters.mission_items import MissionItem, degrees_to_wire
 from missionplanner.geodesy import FloatArray, LocalFrame
 from sim.autopilot import Autopilot, Completed, Said
+from sim.file_service import FileService, parameter_file
 from sim.mission_service import Link, MissionService, Outgoing
 from sim.personality import Behaviour
 from sim.telemetry import Motion, Telemetry
@@ -30,8 +31,6 @@ _ALT_MAX_M = 83_000.0
 _PARAMETERS_PER_POLL = 25
 _BOOT_S = 3.0  # deaf and dumb after a reboot
 _REACHED_AGAIN = 10  # PX4 tells the item reached last so often again, once a second
-_FTP_NAK = 129
-_FTP_FILE_NOT_FOUND = 10
 _FORCE = 21196  # https://mavlink.io/en/messages/common.html#MAV_CMD_COMPONENT_ARM_DISARM
 _IGNORE_POSITION = 0b111  # POSITION_TARGET_TYPEMASK
 
@@ -103,8 +102,10 @@ class VehicleLink:
         self._last_reached = -1
         self._awake_s = -math.inf
         self._parameter_queue: deque[tuple[Link, str]] = deque()
+        self._default_parameters = dict(autopilot.parameters)
         self._commands = self._command_table()
         kind = autopilot.personality
+        self._files = FileService(self._parameter_file if kind.autopilot == "ardupilot" else None)
         self.missions = MissionService(
             kind,
             home=self._home_item,
@@ -261,16 +262,13 @@ class VehicleLink:
         return []
 
     def _ftp(self, message: Any, link: Link, now_s: float) -> list[Outgoing]:
-        """Refuse every request for a file, so that clients need not wait for a time-out."""
         del now_s
-        payload = bytearray(message.payload)
-        sequence = (int.from_bytes(payload[0:2], "little") + 1) & 0xFFFF
-        reply = bytearray(251)
-        reply[0:2] = sequence.to_bytes(2, "little")
-        reply[2], reply[3], reply[4], reply[5] = payload[2], _FTP_NAK, 1, payload[3]
-        reply[12] = _FTP_FILE_NOT_FOUND
-        sender = message.get_srcSystem(), message.get_srcComponent()
-        return [(link, mavlink.MAVLink_file_transfer_protocol_message(0, *sender, reply))]
+        sender = _sender(message)
+        replies = self._files.answer(bytes(message.payload), (sender, link))
+        return [(link, mavlink.MAVLink_file_transfer_protocol_message(0, *sender, reply)) for reply in replies]
+
+    def _parameter_file(self, with_defaults: bool) -> bytes:
+        return parameter_file(self.autopilot.parameters, self._default_parameters if with_defaults else None)
 
     def _log_request_list(self, message: Any, link: Link, now_s: float) -> list[Outgoing]:
         del message, now_s

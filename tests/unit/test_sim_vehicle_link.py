@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -100,7 +101,7 @@ def test_capabilities_promise_integer_missions() -> None:
         ground.command(mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1)
         (version,) = of_type(ground.heard, "AUTOPILOT_VERSION")
         assert version.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT
-        assert not version.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_FTP
+        assert bool(version.capabilities & mavlink.MAV_PROTOCOL_CAPABILITY_FTP) is (autopilot == "ardupilot")
 
 
 def test_message_intervals_are_obeyed_and_told() -> None:
@@ -168,15 +169,53 @@ def test_unknown_parameters_and_nan_change_nothing() -> None:
     assert dict(ground.autopilot.parameters) == before
 
 
-def test_files_are_refused_cleanly() -> None:
-    ground = Ground("ardupilot")
-    request = bytearray(251)
-    request[0:2] = (41).to_bytes(2, "little")
-    request[3] = 4  # OpenFileRO
-    (reply,) = ground.send(mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, request))
+def file_request(opcode: int, data: bytes = b"", size: int | None = None, offset: int = 0) -> Any:
+    payload = struct.pack("<HBBBBBxI", 41, 0, opcode, len(data) if size is None else size, 0, 0, offset) + data
+    return mavlink.MAVLink_file_transfer_protocol_message(0, 1, 1, payload.ljust(251, b"\0"))
+
+
+@BOTH
+def test_files_that_there_are_not_are_refused_at_once(autopilot: Autopilot) -> None:
+    ground = Ground(autopilot)
+    wanted = b"no_such_file" if autopilot == "ardupilot" else b"@PARAM/param.pck"
+    (reply,) = ground.send(file_request(4, wanted))
     payload = bytes(reply.payload)
     assert int.from_bytes(payload[:2], "little") == 42
     assert (payload[3], payload[5], payload[12]) == (129, 4, 10)
+    (reply,) = ground.send(file_request(3, b"/"))
+    assert (bytes(reply.payload)[3], bytes(reply.payload)[12]) == (129, 7)
+    (reply,) = ground.send(file_request(15, size=80))  # of nothing opened
+    assert (bytes(reply.payload)[3], bytes(reply.payload)[12]) == (129, 4)
+
+
+@pytest.mark.parametrize("burst", [True, False])
+@pytest.mark.parametrize("query", [b"", b"?withdefaults=1"])
+def test_ardupilot_gives_its_parameters_as_a_file(burst: bool, query: bytes) -> None:
+    """Decoded by a real client's decoder."""
+    param_ftp = pytest.importorskip("MAVProxy.modules.lib.param_ftp", reason="MAVProxy is not installed")
+    ground = Ground("ardupilot")
+    before = dict(ground.autopilot.parameters)
+    ground.send(mavlink.MAVLink_param_set_message(1, 1, b"RTL_ALT", 2500.0, mavlink.MAV_PARAM_TYPE_INT32))
+    (opened,) = ground.send(file_request(4, b"@PARAM/param.pck" + query))
+    total = int.from_bytes(bytes(opened.payload)[12:16], "little")
+    data = b""
+    while len(data) < total:
+        replies = ground.send(file_request(15 if burst else 5, size=80, offset=len(data)))
+        for k, reply in enumerate(replies):
+            payload = bytes(reply.payload)
+            assert int.from_bytes(payload[:2], "little") == 42 + k
+            assert int.from_bytes(payload[8:12], "little") == len(data)
+            data += payload[12 : 12 + payload[4]]
+            assert bool(payload[6]) is (burst and len(data) == total)
+    (end,) = ground.send(file_request(5, size=80, offset=total))
+    assert (bytes(end.payload)[3], bytes(end.payload)[12]) == (129, 6)
+    decoded = param_ftp.ftp_param_decode(data)
+    read = {name.decode(): value for name, value, _ in decoded.params}
+    assert read == pytest.approx(ground.autopilot.parameters)
+    assert read["RTL_ALT"] == 2500
+    if query:
+        assert {name.decode(): value for name, value, _ in decoded.defaults} == pytest.approx(before)
+    assert ground.send(file_request(1))
 
 
 def test_ping_and_timesync_are_answered() -> None:
