@@ -30,10 +30,14 @@ WatchProgress = Callable[[Sequence[VehicleStatus]], None]
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """An order for the named vehicles; for all where none is named."""
+    """An order for the named vehicles; for all where none is named.
+
+    ``unproven``: let them resume also where their way back to their missions is not proven.
+    """
 
     order: Order
     vehicles: frozenset[str] = frozenset()
+    unproven: bool = False
 
 
 class Helm(Protocol):
@@ -361,12 +365,12 @@ class FlightControl:
         """Listen for a moment, and be heard: a vehicle that misses its ground station may return."""
         self._station.step()
 
-    def order(self, order: Order, names: Collection[str] = ()) -> tuple[Ordered, ...]:
+    def order(self, order: Order, names: Collection[str] = (), *, unproven: bool = False) -> tuple[Ordered, ...]:
         """Give an order to the named vehicles, to all where none is named, and return what came of it for each.
 
         Nobody's failure keeps the others from obeying. Who is still to start does not, once told to return or land.
         """
-        self._give(Request(order, frozenset(names)))
+        self._give(Request(order, frozenset(names), unproven))
         self._station.together(self._orders)
         self._orders.clear()
         return self._given()
@@ -388,6 +392,8 @@ class FlightControl:
                 helm.answer(outcomes)
         elif (request := helm.request()) is not None:
             self._give(request)
+            if not self._orders:
+                helm.answer(())
 
     def _give(self, request: Request) -> None:
         wanted = {k: v for k, v in self._vehicles.items() if not request.vehicles or v.plan.name in request.vehicles}
@@ -395,6 +401,7 @@ class FlightControl:
         for sysid, vehicle in wanted.items():
             if self._keeper is not None:
                 self._keeper.give_up(list(self._vehicles).index(sysid))
+            vehicle.warned |= request.unproven
             self._orders[sysid] = self._obeying(vehicle, request.order)
 
     def _given(self) -> tuple[Ordered, ...]:
@@ -517,7 +524,7 @@ class FlightControl:
             vehicle.warned = True
             return "refused", (
                 f"is not resumed: it is {off_m:.0f} m off its leg to item {item}, the way there is not proven; "
-                "resume again to fly it all the same"
+                "resume again (command resume --unproven) to fly it all the same"
             )
         if not (yield from self._making_current(vehicle, item)):
             return "refused", f"is not resumed: it does not make item {item} its current one"

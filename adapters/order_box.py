@@ -46,7 +46,8 @@ class OrderBox:
             try:
                 path.replace(taken)
                 written = json.loads(taken.read_text(encoding="utf-8"))
-                request = Request(written["order"], frozenset(map(str, written["vehicles"])))
+                named, unproven = frozenset(map(str, written["vehicles"])), written["unproven"] is True
+                request = Request(written["order"], named, unproven)
             except (OSError, ValueError, KeyError, TypeError):  # withdrawn just now, or none of ours
                 continue
             if request.order in get_args(Order):
@@ -79,7 +80,7 @@ def give_order(folder: Path, request: Request, wait: Callable[[float], None]) ->
         raise LinkError(nobody + remedy)
     try:
         with tempfile.NamedTemporaryFile(dir=folder, delete=False) as draft:  # its name is nobody else's
-            draft.write(json.dumps({"order": request.order, "vehicles": sorted(request.vehicles)}).encode())
+            draft.write(json.dumps(asdict(request) | {"vehicles": sorted(request.vehicles)}).encode())
         path = Path(draft.name).replace(Path(draft.name).with_suffix(_ORDER))
     except OSError as error:
         raise LinkError(f"{folder}: could not be written to: {error.strerror}: nothing was sent; {remedy}") from error

@@ -28,8 +28,8 @@ from missionplanner.terminal import Told, print_json, progress_bars, stderr, std
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
     from adapters.certificates import Held
     from adapters.endpoint import Endpoint
+    from adapters.fleet_flight import Request
     from adapters.fleet_link import Clock, FleetLink
-    from adapters.fleet_vehicle import Order
     from adapters.sitl import SitlFleet
     from missionplanner.certificate import Certificate
     from missionplanner.flight_check import FlightCheck
@@ -676,6 +676,9 @@ def command(
         str | None,
         typer.Option(metavar="URL[,URL...]", help="straight to the vehicles; default: by the fly that watches them"),
     ] = None,
+    unproven: Annotated[
+        bool, typer.Option("--unproven", help="resume also who is off its way: the way back is not proven")
+    ] = False,
     signing_key: SigningKey = None,
     as_json: AsJson = False,
 ) -> None:
@@ -684,12 +687,12 @@ def command(
     from adapters.order_box import give_order
     from missionplanner.flight_console import ORDERS_FOLDER
 
-    names = frozenset(vehicle or ())
+    request = Request(order, frozenset(vehicle or ()), unproven)
     if connect is None:
-        outcomes = give_order(folder / ORDERS_FOLDER, Request(order, names), time.sleep)
+        outcomes = give_order(folder / ORDERS_FOLDER, request, time.sleep)
     else:
-        outcomes = _command_vehicles(order, folder, names, connect, signing_key)
-    _expect_names(names, [outcome.vehicle for outcome in outcomes])
+        outcomes = _command_vehicles(request, folder, connect, signing_key)
+    _expect_names(request.vehicles, [outcome.vehicle for outcome in outcomes])
     if as_json:
         print_json({"orders": [asdict(outcome) for outcome in outcomes]})
     else:
@@ -706,25 +709,23 @@ def _expect_names(names: Collection[str], known: Collection[str]) -> None:
         raise MissionError(f"--vehicle: expected vehicles of the plan, got {', '.join(sorted(unknown))}: none of them")
 
 
-def _command_vehicles(
-    order: Order, folder: Path, names: frozenset[str], connect: str, signing_key: Path | None
-) -> tuple[Ordered, ...]:
+def _command_vehicles(request: Request, folder: Path, connect: str, signing_key: Path | None) -> tuple[Ordered, ...]:
     """Give an order as a ground station of our own; nobody is resumed who does not hold its mission."""
     from adapters.fleet_link import FleetLink, WallClock
     from missionplanner.plan_folder import load_plan
 
     scene, fleet_plan = load_plan(folder)
+    names = request.vehicles or {vehicle.name for vehicle in fleet_plan.vehicles}
     _expect_names(names, [vehicle.name for vehicle in fleet_plan.vehicles])
-    if names:
-        fleet_plan = replace(fleet_plan, vehicles=tuple(v for v in fleet_plan.vehicles if v.name in names))
+    fleet_plan = replace(fleet_plan, vehicles=tuple(v for v in fleet_plan.vehicles if v.name in names))
     with _links(connect, signing_key) as endpoints:
         link = FleetLink(fleet_plan, endpoints, WallClock(endpoints), home_tolerance_m=_home_tolerance_m(scene))
         with stderr.status("looking for the vehicles"):
             link.connect()
-        if order == "resume":
+        if request.order == "resume":
             with progress_bars() as progress:
                 link.verify(_transfer_bars(progress, "verifying"))
-        return link.order(order)
+        return link.order(request.order, unproven=request.unproven)
 
 
 @app.command()
