@@ -224,8 +224,7 @@ class FleetLink(FlightControl):
                 yield from self._station.uploading(vehicle, autopilot, wanted, tell, kind)
                 held = yield from self._station.downloading(vehicle, mission_type=kind)
                 _expect_same(vehicle, wanted, held, kind)
-        limits = fence_limits(autopilot)
-        read = yield from self._station.reading_many(vehicle, autopilot, [(parameter,) for parameter in limits])
+        read = yield from self._station.reading_many(vehicle, autopilot, fence_limits(autopilot))
         values = {parameter.name: parameter.value for parameter in read if parameter is not None}
         reason = limit_breach(values, self._plan, vehicle.plan)
         if reason is not None:

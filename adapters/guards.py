@@ -126,9 +126,12 @@ def breach(fence: Sequence[MissionItem], plan: FleetPlan, vehicle: VehiclePlan) 
     return None
 
 
-def fence_limits(autopilot: Autopilot) -> tuple[str, ...]:
-    """Return the parameters that say how high and how far from home a vehicle lets itself fly."""
-    return tuple(_LIMITS[autopilot])
+def fence_limits(autopilot: Autopilot) -> tuple[tuple[str, ...], ...]:
+    """Return the parameters that say how high and how far from home a vehicle lets itself fly.
+
+    Before them comes one that every vehicle has, to tell a vehicle without fences from one that does not answer.
+    """
+    return ("SYSID_THISMAV", "MAV_SYSID", "MAV_SYS_ID"), *((name,) for name in _LIMITS[autopilot])
 
 
 def limit_breach(held: Mapping[str, float], plan: FleetPlan, vehicle: VehiclePlan) -> str | None:

@@ -277,6 +277,12 @@ def _check_place(item: MissionItem) -> int:
 
 def _stored_by_ardupilot(item: MissionItem) -> MissionItem:
     """Return what AP_Mission's packed storage keeps of an item: see AP_Mission::mavlink_int_to_mission_cmd."""
+    if item.command in FENCE_AND_RALLY_COMMANDS[mavlink.MAV_MISSION_TYPE_FENCE]:
+        kept = MissionItem(item.seq, mavlink.MAV_FRAME_GLOBAL, item.command, item.param1, x=item.x, y=item.y)
+        return replace(kept, param1=0.0) if item.command == mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT else kept
+    if item.command == mavlink.MAV_CMD_NAV_RALLY_POINT:
+        whole_m = float(int(item.z))  # of heights above home, in 16 bits
+        return MissionItem(item.seq, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, item.command, x=item.x, y=item.y, z=whole_m)
     if item.command not in _POSITIONED:
         kept = item if item.command not in (mavlink.MAV_CMD_DO_CHANGE_SPEED,) else replace(item, param4=0.0)
         return replace(kept, frame=mavlink.MAV_FRAME_GLOBAL, x=0, y=0, z=0.0)
