@@ -38,16 +38,25 @@ class Held:
 
 def planned(plan: FleetPlan) -> list[Held]:
     """Return the missions of a plan as they are sent."""
-    return [_held(vehicle, plan_items(vehicle, plan.frame)) for vehicle in plan.vehicles]
+    return [_held(plan, vehicle, plan_items(vehicle, plan.frame)) for vehicle in plan.vehicles]
 
 
 def held_by_vehicles(plan: FleetPlan, items: Mapping[int, Sequence[MissionItem]]) -> list[Held]:
     """Return the missions that were read back from a plan's vehicles, by sysid."""
-    return [_held(vehicle, items[vehicle.sysid]) for vehicle in plan.vehicles]
+    return [_held(plan, vehicle, items[vehicle.sysid]) for vehicle in plan.vehicles]
 
 
-def _held(vehicle: VehiclePlan, items: Sequence[MissionItem]) -> Held:
-    return Held(vehicle.name, tuple(items), vehicle.home_m, vehicle.motion.return_height_m, vehicle.start_delay_s)
+def _held(plan: FleetPlan, vehicle: VehiclePlan, items: Sequence[MissionItem]) -> Held:
+    rally = next((asked.rally for asked in plan.mission.vehicles if asked.name == vehicle.name), ())
+    remarks = (f"it holds {len(rally)} rally points, to which it may return instead of its home",) if rally else ()
+    return Held(
+        vehicle.name,
+        tuple(items),
+        vehicle.home_m,
+        vehicle.motion.return_height_m,
+        vehicle.start_delay_s,
+        return_remarks=remarks,
+    )
 
 
 def certify(scene: Scene, missions: Sequence[Held], *, arrival_s: float | None = None) -> Certificate:

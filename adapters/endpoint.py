@@ -25,6 +25,7 @@ Peer = Hashable
 Kind = Literal["udpin", "udpout", "tcpin", "tcpout", "serial"]
 
 _DATAGRAM_MAX = 65_535
+_PEERS_MAX = 1_024
 _UNREAD_MAX = 1 << 20  # a TCP client that has not read this much is taken for dead
 _TCP_CONNECT_TIMEOUT_S = 5.0
 _TCP_RETRY_S = 1.0
@@ -170,7 +171,9 @@ class UdpEndpoint:
                 break
             except (ConnectionResetError, ConnectionRefusedError):  # an earlier datagram found a closed port
                 continue
-            self._peers[peer] = None
+            if peer not in self._peers and len(self._peers) >= _PEERS_MAX:  # somebody speaks from ever new ports
+                self._peers.pop(next(iter(self._peers)))
+            self._peers[peer] = self._peers.pop(peer, None)  # the one heard last stands last
             datagrams.append((data, peer))
         return datagrams
 

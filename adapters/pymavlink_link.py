@@ -22,6 +22,7 @@ OWN_COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
 AUTOPILOT_COMPONENT = 1
 _HEARTBEAT_S = 1.0
 _MOVED_AFTER_S = 5.0  # a vehicle silent for this long may come back from another address
+_PEERS_MAX = 256  # of an endpoint, whose pieces of frames are kept
 
 
 @dataclass(slots=True)
@@ -41,6 +42,8 @@ class PymavlinkLink:
         self._senders = [_codec() for _ in endpoints]
         self._routes: dict[int, _Route] = {}
         self._beat_s = -_HEARTBEAT_S
+        self._keeps_to_routes = False
+        self.strangers: dict[int, int] = {}  # messages that were dropped since, by sysid
 
     @property
     def urls(self) -> str:
@@ -53,7 +56,7 @@ class PymavlinkLink:
         Raises
         ------
         LinkError
-            Two vehicles share one sysid.
+            Two vehicles share one sysid, before :meth:`keep_to_routes`.
         """
         if now_s - self._beat_s >= _HEARTBEAT_S:
             self._beat_s = now_s
@@ -63,10 +66,11 @@ class PymavlinkLink:
             for data, peer in endpoint.receive():
                 parser = self._parsers.get((index, peer))
                 if parser is None:
+                    if len(self._parsers) >= _PEERS_MAX * len(self._endpoints):  # somebody speaks from ever new ports
+                        self._parsers.pop(next(iter(self._parsers)))
                     parser = self._parsers[index, peer] = _codec()
                 for message in parser.parse_buffer(data) or ():
-                    if self._from_vehicle(message):
-                        self._learn(message, index, peer, now_s)
+                    if self._from_vehicle(message) and self._learn(message, index, peer, now_s):
                         self._write(now_s, message.get_srcSystem(), message.get_msgbuf())
                         messages.append(message)
         return messages
@@ -85,6 +89,10 @@ class PymavlinkLink:
         frame = self._pack(message, route.endpoint)
         self._endpoints[route.endpoint].send(frame, route.peer)
         self._write(now_s, sysid, frame)
+
+    def keep_to_routes(self) -> None:
+        """From now on, drop what comes from elsewhere in a vehicle's name, instead of refusing both: they fly."""
+        self._keeps_to_routes = True
 
     def close(self) -> None:
         """Close all endpoints."""
@@ -110,11 +118,15 @@ class PymavlinkLink:
         is_station = message.get_type() == "HEARTBEAT" and message.type == mavlink.MAV_TYPE_GCS
         return message.get_srcSystem() not in (0, OWN_SYSID) and not is_station
 
-    def _learn(self, message: Message, endpoint: int, peer: Peer, now_s: float) -> None:
+    def _learn(self, message: Message, endpoint: int, peer: Peer, now_s: float) -> bool:
+        """Note where a vehicle is heard; return whether it is there that it is to be heard."""
         sysid = message.get_srcSystem()
         route = self._routes.get(sysid)
         if route is not None and (route.endpoint, route.peer) != (endpoint, peer):
             if now_s - route.heard_s < _MOVED_AFTER_S:
+                if self._keeps_to_routes:
+                    self.strangers[sysid] = self.strangers.get(sysid, 0) + 1
+                    return False
                 places = [
                     f"{self._endpoints[e].url} from {_place(p)}"
                     for e, p in ((route.endpoint, route.peer), (endpoint, peer))
@@ -128,6 +140,7 @@ class PymavlinkLink:
             self._routes[sysid] = _Route(endpoint, peer, now_s)
         else:
             route.heard_s = now_s
+        return True
 
     def _write(self, now_s: float, sysid: int, frame: bytes) -> None:
         if self._log is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import socket
 import time
 
 import pytest
@@ -223,3 +224,23 @@ def test_serial_line_both_ways() -> None:
         line.close()
         os.close(master)
         os.close(slave)
+
+
+def test_ever_new_senders_do_not_crowd_out_who_still_speaks() -> None:
+    listening = open_endpoint("udpin:127.0.0.1:0")
+    regular = open_endpoint(listening.url.replace("udpin", "udpout"))
+    target = parse_url(listening.url)
+    try:
+        for k in range(1_100):
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+                stranger.sendto(b"x", (target.host, target.port))
+            if k % 50 == 0:
+                regular.send(b"here")
+            listening.receive()
+        assert len(listening._peers) <= 1_024  # type: ignore[attr-defined]
+        listening.send(b"all")
+        select.select(regular.filenos(), [], [], 5.0)
+        assert [data for data, _ in regular.receive()] == [b"all"]
+    finally:
+        listening.close()
+        regular.close()

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import select
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.endpoint import InProcessEndpoint, in_process_pair
+from adapters.endpoint import InProcessEndpoint, in_process_pair, open_endpoint
 from adapters.pymavlink_link import PymavlinkLink
 from adapters.telemetry_log import FleetLog, read_log
 from missionplanner.errors import LinkError
@@ -118,3 +119,49 @@ def test_what_comes_and_goes_is_logged(tmp_path: Path) -> None:
     kinds = [(t - 1.7e9, m.get_type(), m.get_srcSystem()) for t, m in read_log(tmp_path / "uav4.tlog").records]
     assert kinds == [(1.0, "HEARTBEAT", 4), (2.0, "MISSION_REQUEST_LIST", 255)]
     assert len(read_log(tmp_path / "fleet.tlog").records) == 3
+
+
+def test_one_sysid_from_two_sources_of_one_port_is_refused() -> None:
+    """Two autopilots that send to the same UDP port, each from its own."""
+    ground = open_endpoint("udpin:127.0.0.1:0")
+    airs = [open_endpoint(ground.url.replace("udpin", "udpout")) for _ in range(2)]
+    link = PymavlinkLink([ground])
+    try:
+        for air in airs:
+            air.send(beat(3))
+            select.select(ground.filenos(), [], [], 5.0)
+            if air is airs[0]:
+                assert len(link.receive(0.0)) == 1
+        with pytest.raises(
+            LinkError, match=r"sysid 3: expected one vehicle, heard two: udpin:.* from 127.0.0.1:\d+ and"
+        ):
+            link.receive(1.0)
+    finally:
+        for endpoint in (ground, *airs):
+            endpoint.close()
+
+
+def test_in_flight_nobody_takes_a_vehicle_over() -> None:
+    (ground1, air1), (ground2, air2) = in_process_pair("one"), in_process_pair("two")
+    link = PymavlinkLink([ground1, ground2])
+    air1.send(beat(3))
+    link.receive(0.0)
+    link.keep_to_routes()
+    air2.send(beat(3) * 2)
+    air1.send(beat(3))
+    assert len(link.receive(1.0)) == 1
+    assert link.strangers == {3: 2}
+    air2.send(beat(3))
+    assert len(link.receive(7.0)) == 1  # silent for long: it may have moved
+
+
+def test_ever_new_senders_fill_no_memory() -> None:
+    class Many(InProcessEndpoint):
+        def receive(self) -> list[tuple[bytes, Any]]:
+            return [(b"\xfd\xff", ("192.0.2.1", k)) for k in range(1000)]
+
+    ground, _ = in_process_pair()
+    ground.__class__ = Many
+    link = PymavlinkLink([ground])
+    link.receive(0.0)
+    assert len(link._parsers) <= 256
