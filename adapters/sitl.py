@@ -13,12 +13,12 @@ import os
 import re
 import select
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import Any, ClassVar
@@ -32,7 +32,16 @@ from adapters.ground_station import Station, Steps
 from adapters.parameter_protocol import is_integer
 from adapters.pymavlink_link import OWN_COMPONENT, OWN_SYSID
 from adapters.return_settings import Setting
-from adapters.sitl_instances import DEFAULTS, Ground, Instance, Programs, planned_parameters, sitl_instances
+from adapters.sitl_instances import (
+    DEFAULTS,
+    Ground,
+    Instance,
+    Programs,
+    free_numbers,
+    is_free,
+    planned_parameters,
+    sitl_instances,
+)
 from missionplanner.autopilot_parameters import same, shown
 from missionplanner.errors import LinkError, MissionPlannerError
 from missionplanner.files import ensure_writable, write_atomic
@@ -49,7 +58,7 @@ class SitlError(MissionPlannerError):
     exit_code: ClassVar[int] = LinkError.exit_code
 
 
-_BEGIN_S = 30.0  # real time, from the start of a program to its first heartbeat
+_BEGIN_S, _BEGIN_EACH_S = 30.0, 2.0  # real time, from the start of the programs to their first heartbeats
 _READY_S = 180.0  # of the vehicles' time
 _STOP_S = 3.0  # real time, to end by itself when told to
 _PATIENCE_S = 30.0  # of the vehicles' time; one that still boots is slow to answer
@@ -235,24 +244,18 @@ class SitlFleet:
         self._tell = tell
         self._ground = ground
 
-        def instances(*, whole_degrees: bool) -> tuple[Instance, ...]:
-            return sitl_instances(
-                plan,
-                programs,
-                folder,
-                speedup=speedup,
-                ground=ground,
-                wind_m_s=wind_m_s,
-                whole_degrees=whole_degrees,
-            )
-
-        self._instances = {instance.vehicle.sysid: instance for instance in instances(whole_degrees=False)}
-        self._otherwise = {instance.vehicle.sysid: instance for instance in instances(whole_degrees=True)}
+        self._how = partial(sitl_instances, plan, programs, folder, speedup=speedup, ground=ground, wind_m_s=wind_m_s)
+        self._instances = self._by_sysid(self._how())
         self._running: dict[int, subprocess.Popen[bytes]] = {}
         self._links: dict[str, Endpoint] = {}
+        self._patience_s = _BEGIN_S + _BEGIN_EACH_S * len(self._instances)
         self._told = False  # of one that ended
         self._handlers: dict[int, Any] = {}
         self.clock = SitlClock(speedup, self.check)
+
+    @staticmethod
+    def _by_sysid(instances: Iterable[Instance]) -> dict[int, Instance]:
+        return {instance.vehicle.sysid: instance for instance in instances}
 
     @property
     def endpoints(self) -> list[Endpoint]:
@@ -269,6 +272,7 @@ class SitlFleet:
         LinkError
             A vehicle is none of the plan's, or does not do as told.
         """
+        self._instances = self._by_sysid(self._how(numbers=free_numbers(len(self._instances))))
         self._expect_free_ports()
         for instance in self._instances.values():
             if instance.url.startswith("udpin"):
@@ -315,7 +319,8 @@ class SitlFleet:
     def __enter__(self) -> SitlFleet:
         if threading.current_thread() is threading.main_thread():  # elsewhere signals are somebody else's
             for number in (signal.SIGTERM, getattr(signal, "SIGHUP", signal.SIGTERM)):
-                self._handlers[number] = signal.signal(number, _leave)
+                if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup has it
+                    self._handlers.setdefault(number, signal.signal(number, _leave))
         return self
 
     def __exit__(
@@ -331,25 +336,20 @@ class SitlFleet:
             for endpoint in self._links.values():
                 endpoint.close()
             if count and isinstance(error, KeyboardInterrupt | SystemExit):
-                self._tell(f"all {count} simulators were stopped; their logs are in {self._folder}")
+                stopped = "1 simulator was" if count == 1 else f"all {count} simulators were"
+                self._tell(f"{stopped} stopped; logs are in {self._folder}")
         finally:
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 
     def _expect_free_ports(self) -> None:
         for instance in self._instances.values():
-            for kind, port in instance.ports:
-                with socket.socket(socket.AF_INET, socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM) as probe:
-                    if kind == "tcp":  # a connection that was closed just now is no obstacle
-                        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                    try:
-                        probe.bind(("0.0.0.0", port))
-                    except OSError as error:
-                        raise SitlError(
-                            f"{instance.vehicle.name}: its simulator needs {kind.upper()} port {port}, got: "
-                            f"{error.strerror}; stop the other program that uses it (another simulator?); nothing was "
-                            "started"
-                        ) from error
+            for port in instance.ports:
+                if not is_free(port):
+                    raise SitlError(
+                        f"{instance.vehicle.name}: its simulator needs {port[0].upper()} port {port[1]}, which another "
+                        "program uses: stop that (another simulator?); nothing was started"
+                    )
 
     def _begin(self, instance: Instance) -> None:
         ensure_writable(instance.folder)
@@ -373,7 +373,7 @@ class SitlFleet:
 
     def _connect(self, instance: Instance) -> None:
         """Open the link to a program that listens, as soon as it does."""
-        end_s = time.monotonic() + _BEGIN_S
+        end_s = time.monotonic() + self._patience_s
         while instance.url not in self._links:
             try:
                 self._open(instance)
@@ -382,7 +382,7 @@ class SitlFleet:
                 if time.monotonic() > end_s:
                     raise SitlError(
                         f"{instance.vehicle.name}: expected its simulator to listen on {instance.url} within "
-                        f"{_BEGIN_S:g} s: is {instance.command[0]} an autopilot's? {_last_words(instance)}"
+                        f"{self._patience_s:g} s: is {instance.command[0]} an autopilot's? {_last_words(instance)}"
                     ) from error
                 time.sleep(0.05)
 
@@ -396,7 +396,7 @@ class SitlFleet:
         """Return a ground station that has heard each of the vehicles."""
         vehicles = {vehicle.sysid: FleetVehicle(vehicle, self._plan) for vehicle in self._plan.vehicles}
         station = Station(vehicles, self.endpoints, self.clock, None)
-        end_s = time.monotonic() + _BEGIN_S
+        end_s = time.monotonic() + self._patience_s
         while silent := [vehicle for vehicle in vehicles.values() if vehicle.heartbeat is None]:
             station.step()
             if time.monotonic() > end_s:
@@ -405,8 +405,8 @@ class SitlFleet:
                 heard = f"heard sysid {', '.join(map(str, others))} instead" if others else "heard nothing"
                 raise SitlError(
                     f"{silent[0].plan.name}: expected its simulator to speak MAVLink on {instance.url}, with sysid "
-                    f"{silent[0].plan.sysid}, within {_BEGIN_S:g} s, {heard}: is {instance.command[0]} an autopilot's? "
-                    f"{_last_words(instance)}"
+                    f"{silent[0].plan.sysid}, within {self._patience_s:g} s, {heard}: is "
+                    f"{instance.command[0]} an autopilot's? {_last_words(instance)}"
                 )
         return station
 
@@ -426,8 +426,9 @@ class SitlFleet:
         _signal_all(again.values(), signal.SIGKILL)
         for process in again.values():
             process.wait()
+        otherwise = self._by_sysid(self._how(whole_degrees=True))
         for sysid in sorted(whole):
-            self._instances[sysid] = self._otherwise[sysid]
+            self._instances[sysid] = otherwise[sysid]
             self._begin(self._instances[sysid])
         return bool(whole)
 
@@ -461,9 +462,8 @@ class SitlFleet:
 
     def _ended(self, instance: Instance, code: int) -> SitlError:
         how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-        return SitlError(
-            f"{instance.vehicle.name}: its simulator {how}: {_last_words(instance)}; all others were stopped"
-        )
+        others = "; all others were stopped" if len(self._instances) > 1 else ""
+        return SitlError(f"{instance.vehicle.name}: its simulator {how}: {_last_words(instance)}{others}")
 
 
 def _last_words(instance: Instance) -> str:

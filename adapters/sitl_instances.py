@@ -19,8 +19,10 @@ import math
 import os
 import re
 import shutil
+import socket
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -28,7 +30,7 @@ import numpy as np
 
 from adapters.return_settings import return_settings
 from missionplanner.autopilot_parameters import Kind, parameters, shown, value_of
-from missionplanner.errors import MissionError
+from missionplanner.errors import LinkError, MissionError
 from missionplanner.geodesy import FloatArray, GeoPoint
 from missionplanner.plan import FleetPlan, VehiclePlan
 
@@ -78,6 +80,7 @@ _TREE_DEFAULTS = {
     "plane": ("Tools/autotest/models/plane.parm", "Tools/autotest/default_params/plane.parm"),
 }
 _TERRAIN_SPACING_M = 30
+_NUMBERS = 1000  # of ArduPilot instances that are tried
 _LEVEL_M = 1.0  # ground this even is flown over as level
 _MODELS = {"copter": ("sihsim_quadx", "10040"), "plane": ("sihsim_airplane", "10041")}
 
@@ -162,6 +165,7 @@ def sitl_instances(
     ground: Ground | None = None,
     wind_m_s: tuple[float, float] | None = None,
     whole_degrees: bool = False,
+    numbers: Sequence[int] | None = None,
 ) -> tuple[Instance, ...]:
     """Return how the simulators of a plan's vehicles are started, each at its home, with what it was planned with.
 
@@ -172,6 +176,7 @@ def sitl_instances(
     ground : what the vehicles fly over; None: level ground
     wind_m_s : (east, north) that blows instead of the wind planned for
     whole_degrees : PX4's homes in whole 1e-7 degrees, as up to 1.15
+    numbers : of ArduPilot's instances, which decide on their ports; by default from 0 on
 
     Raises
     ------
@@ -181,7 +186,7 @@ def sitl_instances(
     if not (math.isfinite(speedup) and speedup > 0.0):
         raise MissionError(f"--speedup: expected a number above 0, got {speedup}")
     instances: list[Instance] = []
-    ardupilots = 0
+    free = iter(range(len(plan.vehicles)) if numbers is None else numbers)
     for vehicle in plan.vehicles:
         kind: Kind = (vehicle.autopilot, vehicle.vehicle_class)
         program = programs.get(kind)
@@ -195,8 +200,7 @@ def sitl_instances(
         own = (folder / vehicle.name).absolute()
         level = _level(vehicle, ground)
         if kind[0] == "ardupilot":
-            instances.append(_ardupilot(vehicle, ardupilots, program, own, home, wind, speedup, level=level))
-            ardupilots += 1
+            instances.append(_ardupilot(vehicle, next(free), program, own, home, wind, speedup, level=level))
         elif level:
             instances.append(_px4(vehicle, program, own, home, wind, speedup, whole_degrees=whole_degrees))
         else:
@@ -251,7 +255,6 @@ def _ardupilot(
         "SIM_WIND_DIR": math.degrees(math.atan2(-wind_m_s[0], -wind_m_s[1])) % 360.0,  # where it comes from
         **{"SIM_TERRAIN": int(not level), "TERRAIN_ENABLE": int(not level), "TERRAIN_SPACING": _TERRAIN_SPACING_M},
     }
-    first = 5760 + 10 * number
     return Instance(
         vehicle,
         folder,
@@ -262,10 +265,45 @@ def _ardupilot(
             *("-I", str(number), "--sysid", str(vehicle.sysid)),
         ),
         {},
-        f"tcp:127.0.0.1:{first}",
-        (("tcp", first), ("tcp", first + 2), ("tcp", first + 3), ("udp", 5501 + 10 * number)),
+        f"tcp:127.0.0.1:{5760 + 10 * number}",
+        _ardupilot_ports(number),
         defaults,
     )
+
+
+def _ardupilot_ports(number: int) -> tuple[Port, ...]:
+    first = 5760 + 10 * number
+    return ("tcp", first), ("tcp", first + 2), ("tcp", first + 3), ("udp", 5501 + 10 * number)
+
+
+def free_numbers(count: int) -> list[int]:
+    """Return numbers of ArduPilot instances whose ports nobody uses: simulators of others are left alone.
+
+    Raises
+    ------
+    LinkError
+        There are too few.
+    """
+    free = (number for number in range(_NUMBERS) if all(map(is_free, _ardupilot_ports(number))))
+    found = list(islice(free, count))
+    if len(found) < count:
+        raise LinkError(
+            f"--sitl: expected free ports for {count} simulators, found them for {len(found)}; nothing started"
+        )
+    return found
+
+
+def is_free(port: Port) -> bool:
+    """Return whether a port can be listened on."""
+    kind, number = port
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM if kind == "tcp" else socket.SOCK_DGRAM) as probe:
+        if kind == "tcp":  # a connection that was closed just now is no obstacle
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("0.0.0.0", number))
+        except OSError:
+            return False
+    return True
 
 
 def _tree_defaults(program: Path, kind: Kind) -> dict[str, float]:
@@ -321,7 +359,8 @@ def _px4(
         **{f"PX4_PARAM_{name}": shown(value) for name, value in planned_parameters(vehicle).items()},
         # the simulator adds them to the velocity: they say where the wind comes from
         **{"PX4_PARAM_SIH_WIND_E": shown(-wind_m_s[0]), "PX4_PARAM_SIH_WIND_N": shown(-wind_m_s[1])},
-        **{"PX4_SIM_MODEL": model, "PX4_SIMULATOR": "sihsim", "PX4_SIM_SPEED_FACTOR": f"{speedup:g}"},
+        **{"PX4_SIM_MODEL": model, "PX4_SIMULATOR": "sihsim"},
+        **({} if speedup == 1.0 else {"PX4_SIM_SPEED_FACTOR": f"{speedup:g}"}),  # where set, it needs more programs
         **({} if known else {"PX4_SYS_AUTOSTART": airframe}),
         "PX4_HOME_LAT": str(round(home.lat_deg * 1e7)) if whole_degrees else f"{home.lat_deg:.7f}",
         "PX4_HOME_LON": str(round(home.lon_deg * 1e7)) if whole_degrees else f"{home.lon_deg:.7f}",
