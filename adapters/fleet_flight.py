@@ -163,6 +163,7 @@ class FlightControl:
         except LinkError as error:
             raise LinkError(f"{error}; {self._stand_down()}") from error
         self._start_s = self._clock.now_s()
+        self._station.link.keep_to_routes()  # nobody who speaks in a vehicle's name ends the watch
         for vehicle in self._vehicles.values():
             vehicle.recorder.start(self._start_s)
         try:
@@ -212,6 +213,7 @@ class FlightControl:
         give_up_s = self._start_s + 2.0 * longest_s + 2.0 * _LOST_S
         release_s = give_up_s - longest_s  # enough to fly all of it
         shown_s = -math.inf
+        log_trouble: str | None = None
         vehicles = list(self._vehicles.values())
 
         def sighting(i: int, now_s: float) -> Sighting | None:
@@ -224,6 +226,9 @@ class FlightControl:
             now_s = self._clock.now_s()
             self._start_those_due(tell)
             self._look_for_gaps(now_s, tell)
+            if self._log is not None and self._log.trouble != log_trouble and tell is not None:
+                log_trouble = self._log.trouble
+                tell(str(log_trouble))
             if helm is not None:
                 self._steer(helm, tell)
             put_off_s = max((self._stood_s(k) for k in self._vehicles), default=0.0)

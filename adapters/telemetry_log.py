@@ -7,13 +7,16 @@ end mark, so a log that was cut short is readable up to the cut
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import struct
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from io import RawIOBase
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -21,6 +24,7 @@ from missionplanner.errors import MissionError
 
 _STAMP = struct.Struct(">Q")
 _MERGED = "fleet.tlog"
+_EARLIER = "earlier"
 _OWN_SYSID = 255
 _TEXT_MAX = 50  # bytes of a STATUSTEXT
 _STX2, _STX1 = 0xFD, 0xFE
@@ -33,20 +37,26 @@ _YEAR_2000_US, _YEAR_2200_US = 946_684_800 * 10**6, 7_258_118_400 * 10**6
 class FleetLog:
     """One log per vehicle and one of all, in a folder; both directions, as ground stations keep them.
 
-    ``epoch_s`` is the time since 1970 at which the link's clock showed zero.
+    ``epoch_s`` is the time since 1970 at which the link's clock showed zero. Every record is handed to the system whole
+    and at once: whatever becomes of this program, it is in the file. Logs that lie in the folder already are put aside,
+    never written over.
     """
 
     def __init__(self, folder: Path, names: Mapping[int, str], epoch_s: float) -> None:
         self._epoch_s = epoch_s
         self._codec = mavlink.MAVLink(None, srcSystem=_OWN_SYSID, srcComponent=mavlink.MAV_COMP_ID_MISSIONPLANNER)
         self._notes = 0
-        self._files: dict[int, BinaryIO] = {}
-        self.paths = [folder / f"{name}.tlog" for name in names.values()]
+        self._files: dict[int, RawIOBase] = {}
+        self._stamp_us = 0
+        self.trouble: str | None = None  # why nothing is written any more
+        own = {sysid: f"{name}.tlog" for sysid, name in names.items()}
+        self.paths = [folder / (f"{sysid}-{file}" if file == _MERGED else file) for sysid, file in own.items()]
         try:
             folder.mkdir(parents=True, exist_ok=True)
+            _put_aside(folder)
             for sysid, path in zip(names, self.paths, strict=True):
-                self._files[sysid] = path.open("wb")
-            self._merged = (folder / _MERGED).open("wb")
+                self._files[sysid] = path.open("wb", buffering=0)
+            self._merged: RawIOBase = (folder / _MERGED).open("wb", buffering=0)
         except OSError as error:
             for file in self._files.values():
                 file.close()
@@ -56,9 +66,7 @@ class FleetLog:
     def write(self, now_s: float, sysid: int, frame: bytes) -> None:
         """Add one frame from or to the vehicle ``sysid``; one of an unknown vehicle goes to the merged log only."""
         record = self._record(now_s, frame)
-        self._merged.write(record)
-        if sysid in self._files:
-            self._files[sysid].write(record)
+        self._write(record, [self._merged, *([self._files[sysid]] if sysid in self._files else [])])
 
     def note(self, now_s: float, text: str) -> None:
         """Add a remark of our own to every log: a STATUSTEXT from this ground station, in pieces where it is long."""
@@ -71,16 +79,29 @@ class FleetLog:
             identity = self._notes if len(pieces) > 1 else 0
             message = mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_WARNING, piece, identity, number)
             record = self._record(now_s, bytes(message.pack(self._codec)))
-            for file in (*self._files.values(), self._merged):
-                file.write(record)
+            self._write(record, [*self._files.values(), self._merged])
 
     def close(self) -> None:
         """Finish all files."""
         for file in (*self._files.values(), self._merged):
             file.close()
 
+    def _write(self, record: bytes, files: Sequence[RawIOBase]) -> None:
+        """Write a record to files; who cannot any more (a full disk) says so in ``trouble``: the flight goes on."""
+        if self.trouble is not None:
+            return
+        try:
+            for file in files:
+                if file.write(record) != len(record):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        except OSError as error:
+            self.trouble = (
+                f"{self.paths[-1].parent}: the telemetry logs end here, they cannot be written: {error.strerror}"
+            )
+
     def _record(self, now_s: float, frame: bytes) -> bytes:
-        return _STAMP.pack(round((self._epoch_s + now_s) * 1e6)) + frame
+        self._stamp_us = max(round((self._epoch_s + now_s) * 1e6), self._stamp_us)
+        return _STAMP.pack(self._stamp_us) + frame
 
     def __enter__(self) -> FleetLog:
         return self
@@ -89,6 +110,17 @@ class FleetLog:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _put_aside(folder: Path) -> None:
+    """Move logs of earlier flights into a numbered folder of their own."""
+    logs = [path for path in folder.glob("*.tlog") if path.stat().st_size]
+    if logs:
+        number = 1 + max((int(p.name) for p in (folder / _EARLIER).glob("*") if p.name.isdecimal()), default=0)
+        aside = folder / _EARLIER / str(number)
+        aside.mkdir(parents=True)
+        for path in logs:
+            path.rename(aside / path.name)
 
 
 @dataclass(frozen=True, slots=True)

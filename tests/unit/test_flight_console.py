@@ -50,7 +50,7 @@ class Typed:
 
 
 class Console:
-    """Flies plans at a terminal where keys are typed, or signals come, at times after the start; below 0: once all are armed."""
+    """Flies plans at a terminal; keys are typed, or signals come, at times after the start; -1: once all are armed."""
 
     rig: Rig
 
