@@ -31,6 +31,7 @@ Outgoing = tuple[Link | None, Any]
 
 _MISSION, _FENCE, _RALLY = range(3)
 _ALL_TYPES = 255
+_MOVED_AFTER_S = 2.0
 _ACCEPTED = int(mavlink.MAV_MISSION_ACCEPTED)
 
 
@@ -177,7 +178,7 @@ class MissionService:
     def _open_all(self, partner: Partner, kind: int, message: Any, now_s: float) -> list[Outgoing]:
         if self._rules.one_transfer and (self._download is not None or self._uploads):
             return self._open_while_busy(partner, kind, now_s)
-        if self._taken_by_another(partner, kind):
+        if self._taken_by_another(partner, kind, now_s):
             return [self._ack(partner, self._rules.second_uploader_ack, kind)]
         most = self._rules.item_max[kind]
         if now_s < self._ready_s or message.count > most:
@@ -197,7 +198,7 @@ class MissionService:
 
     def _open_while_busy(self, partner: Partner, kind: int, now_s: float) -> list[Outgoing]:
         upload = next(iter(self._uploads.values()), None)
-        if upload is not None and self._same(upload.partner, partner):
+        if upload is not None and self._same(upload, partner, now_s):
             upload.heard_s = now_s
             if upload.next_seq == 0:  # our first request was lost
                 return [self._request(upload, now_s)]
@@ -210,7 +211,7 @@ class MissionService:
             return []  # PX4 does not know the message
         if not 0 <= start <= last <= count:
             return [self._ack(partner, mavlink.MAV_MISSION_ERROR, kind)]
-        if self._taken_by_another(partner, kind):  # ArduPilot would let it in: no second ground station disturbs ours
+        if self._taken_by_another(partner, kind, now_s):  # ArduPilot would let it in: no second station disturbs ours
             return [self._ack(partner, self._rules.second_uploader_ack, kind)]
         upload = _Upload(partner, kind, start, last + 1, now_s, now_s)
         if self._waits(kind):
@@ -228,7 +229,7 @@ class MissionService:
         if self._rules.one_transfer:
             upload = next(iter(self._uploads.values()), None)
             expected = upload or self._download or self._last_done
-            if expected is not None and not self._same(expected.partner, partner):
+            if expected is not None and not self._same(expected, partner, now_s):
                 self._say(mavlink.MAV_SEVERITY_CRITICAL, "REJ. MIS ITEM: partner id mismatch")
                 return []
             if upload is not None and upload.mission_type != kind:
@@ -236,7 +237,7 @@ class MissionService:
             self._int_mode = integers
         if upload is None:
             return self._take_stray(partner, kind, message.seq)
-        same = self._same(upload.partner, partner)
+        same = self._same(upload, partner, now_s)
         upload.heard_s = now_s if self._rules.one_transfer and same else upload.heard_s
         if message.seq != upload.next_seq:
             refusal = self._rules.out_of_sequence_ack
@@ -302,9 +303,9 @@ class MissionService:
         if not self._rules.one_transfer:
             return []
         download, upload = self._download, next(iter(self._uploads.values()), None)
-        if download is not None and self._same(download.partner, partner) and download.mission_type == kind:
+        if download is not None and self._same(download, partner, now_s) and download.mission_type == kind:
             self._download = None
-        elif upload is not None and self._same(upload.partner, partner):
+        elif upload is not None and self._same(upload, partner, now_s):
             if message.type == mavlink.MAV_MISSION_OPERATION_CANCELLED:
                 self._uploads.clear()
             elif message.type == mavlink.MAV_MISSION_UNSUPPORTED:
@@ -312,14 +313,21 @@ class MissionService:
                 return [self._request(upload, now_s)]
         return []
 
-    def _taken_by_another(self, partner: Partner, kind: int) -> bool:
+    def _taken_by_another(self, partner: Partner, kind: int, now_s: float) -> bool:
         upload = self._uploads.get(kind)
-        return upload is not None and not self._same(upload.partner, partner)
+        return upload is not None and not self._same(upload, partner, now_s)
 
     @staticmethod
-    def _same(one: Partner, other: Partner) -> bool:
-        """Whether it is the same ground station, on whatever link."""
-        return (one.system, one.component) == (other.system, other.component)
+    def _same(transfer: _Upload | _Download, partner: Partner, now_s: float) -> bool:
+        """Whether a transfer is this ground station's; one that has moved to another link is known once that is quiet.
+
+        ArduPilot goes by the ids alone: whoever has ours, as two ground stations as delivered have, could disturb us.
+        """
+        one = transfer.partner
+        known = (one.system, one.component) == (partner.system, partner.component)
+        if known and one.link != partner.link and now_s - transfer.heard_s > _MOVED_AFTER_S:
+            transfer.partner = partner
+        return known and transfer.partner.link == partner.link
 
     def _check(self, kind: int, item: MissionItem, upload: _Upload) -> int:
         commands = FENCE_AND_RALLY_COMMANDS.get(kind, self._rules.commands)
@@ -347,7 +355,7 @@ class MissionService:
         del message
         count = len(self._stores[kind])
         if self._rules.one_transfer:
-            if self._uploads or not self._may_list(partner, kind):
+            if self._uploads or not self._may_list(partner, kind, now_s):
                 self._say(mavlink.MAV_SEVERITY_INFO, "Mission download request ignored, already active")
                 return []
             self._download = _Download(partner, kind, count, now_s)
@@ -356,11 +364,11 @@ class MissionService:
         reply = mavlink.MAVLink_mission_count_message(partner.system, partner.component, count, kind)
         return [(partner.link, with_plan_ids(reply, self._plan_ids[kind]))]
 
-    def _may_list(self, partner: Partner, kind: int) -> bool:
+    def _may_list(self, partner: Partner, kind: int, now_s: float) -> bool:
         download = self._download
         if download is None or download.next_seq == download.count:  # all is sent: its ACK may have been lost
             return True
-        return self._same(download.partner, partner) and download.mission_type == kind
+        return self._same(download, partner, now_s) and download.mission_type == kind
 
     def _send_item(self, partner: Partner, kind: int, message: Any, now_s: float) -> list[Outgoing]:
         seq = message.seq
@@ -389,7 +397,7 @@ class MissionService:
         transfer = download or next(iter(self._uploads.values()), None)
         if transfer is None:
             return []
-        if not self._same(transfer.partner, partner):
+        if not self._same(transfer, partner, now_s):
             self._say(mavlink.MAV_SEVERITY_CRITICAL, "WPM: REJ. CMD: partner id mismatch")
             return []
         if download is None:
