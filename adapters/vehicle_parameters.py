@@ -40,6 +40,7 @@ class HeldParameters:
     autopilot: Autopilot
     vehicle_class: VehicleClass
     values: Mapping[str, ParameterValue]
+    uid: str = ""  # of its autopilot; empty: it tells none
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +82,7 @@ class Comparison:
             "sysid": held.sysid,
             "autopilot": held.autopilot,
             "class": held.vehicle_class,
+            "uid": held.uid or None,
             "parameters": {name: _finite(value) for name, value in values.items()},
             "sets": {name: meaning for name, value in values.items() if (meaning := _meaning(kind, name, value))},
             "differences": [{**asdict(found), "held": _finite(found.held)} for found in self.differences],
@@ -164,7 +166,10 @@ def read_parameters(
             values = yield from station.listing(peer, autopilot, tell)
         else:
             values = yield from reading_motion(station, peer, autopilot, vehicle_class)
-        found[peer.party.sysid] = HeldParameters(peer.party.sysid, autopilot, vehicle_class, values)
+        yield from station.identifying(peer)
+        peer.check_alone()
+        uid = max(peer.unique_ids, key=len, default="")
+        found[peer.party.sysid] = HeldParameters(peer.party.sysid, autopilot, vehicle_class, values, uid)
 
     peers = {k: p for k, p in station.peers.items() if p.heartbeat is not None and (wanted is None or k in wanted)}
     station.together({k: reading(peer) for k, peer in peers.items()})

@@ -164,7 +164,8 @@ def moves_table(moves: Sequence[Mapping[str, Any]]) -> Table:
 
 def parameter_table(vehicle: Mapping[str, Any]) -> Table:
     """Return one row per parameter of a vehicle: what it holds, what that means, and what it should hold."""
-    title = f"{vehicle['name']} (sysid {vehicle['sysid']}), {vehicle['autopilot']} {vehicle['class']}"
+    who = f", uid {vehicle['uid']}" if vehicle["uid"] else ""
+    title = f"{vehicle['name']} (sysid {vehicle['sysid']}{who}), {vehicle['autopilot']} {vehicle['class']}"
     table = Table(title=title, box=box.SIMPLE, title_justify="left", padding=(0, 1))
     table.add_column("parameter", no_wrap=True)
     table.add_column("holds", justify="right", no_wrap=True)
