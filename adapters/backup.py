@@ -11,7 +11,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -33,6 +33,7 @@ from missionplanner.vehicle import Autopilot, VehicleClass
 
 _MANIFEST = "backup.json"
 _FORMAT = "missionplanner backup"
+_FILE_FRAMES = {5: 0, 6: 3, 11: 10}  # the wire's INT frames mean the same, and are superseded: files do not have them
 _MAX_FILE_BYTES = 64 * 1024 * 1024
 _KINDS = (mavlink.MAV_MISSION_TYPE_MISSION, mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY)
 
@@ -75,8 +76,8 @@ def saving(station: Station[Any], peer: Peer, progress: TransferProgress | None)
     return Saved(peer.party.vehicle, peer.party.sysid, autopilot, vehicle_class, ids, mission, fence, rally)
 
 
-def expect_no_backup(folder: Path) -> None:
-    """Refuse a folder that has a backup already: what vehicles held first is wanted most.
+def expect_no_backup(folder: Path, names: Sequence[str] = ()) -> None:
+    """Refuse a folder that has a backup already, or files of vehicles so named: what was held first is wanted most.
 
     Raises
     ------
@@ -85,27 +86,34 @@ def expect_no_backup(folder: Path) -> None:
     """
     if (folder / _MANIFEST).exists():
         raise MissionError(f"{folder}: expected a folder without a backup, got one: choose another, it is not replaced")
+    for name in names:
+        for path in (folder / f"{name}.plan", folder / f"{name}.waypoints"):
+            if path.exists():
+                raise MissionError(f"{path}: is there already, and is not replaced: choose another folder")
 
 
-def write_backup(folder: Path, vehicles: Sequence[Saved], saved_at: str) -> list[Path]:
-    """Write what vehicles held, ``saved_at`` that time, and return the files' paths.
+def write_backup(
+    folder: Path, vehicles: Sequence[Saved], saved_at: str, homes: Mapping[int, GeoPoint] | None = None
+) -> list[Path]:
+    """Write what vehicles held, ``saved_at`` that time, and return the files' paths; ``homes`` by sysid, where known.
 
     Raises
     ------
     MissionError
         As :func:`expect_no_backup`, or the folder cannot be written to.
     """
-    expect_no_backup(folder)
+    expect_no_backup(folder, [vehicle.name for vehicle in vehicles])
     texts: dict[str, str] = {}
     for vehicle in vehicles:
-        home = _home(vehicle)
+        home = (homes or {}).get(vehicle.sysid) or _home(vehicle)
+        mission = [replace(item, frame=_FILE_FRAMES.get(item.frame, item.frame)) for item in vehicle.mission]
         try:
             areas = read_areas(vehicle.fence)
         except ValueError:  # no plan file can say what it holds; backup.json does
             areas = []
-        held = PlanFile(vehicle.autopilot, home, vehicle.mission)
+        held = PlanFile(vehicle.autopilot, home, tuple(mission))
         texts[f"{vehicle.name}.plan"] = plan_text(held, vehicle.vehicle_class, areas, vehicle.rally)
-        texts[f"{vehicle.name}.waypoints"] = waypoints_text(vehicle.mission, vehicle.autopilot, home)
+        texts[f"{vehicle.name}.waypoints"] = waypoints_text(mission, vehicle.autopilot, home)
     document = {"format": _FORMAT, "version": 1, "saved": saved_at, "vehicles": [_as_json(v) for v in vehicles]}
     texts[_MANIFEST] = json.dumps(document, indent=1, allow_nan=False) + "\n"
     for name, text in texts.items():

@@ -301,7 +301,7 @@ def download_missions(
     LinkError
         Nobody, or not everybody answers; a vehicle of a kind that we do not know; two vehicles with one sysid.
     """
-    station = _Listener(endpoints, clock, log)
+    station = Listener(endpoints, clock, log)
     wanted = None if expected is None else sorted(set(expected))
     station.wait_for(wanted, {sysid: f"sysid {sysid}" for sysid in wanted or ()}, timeout_s)
     found: dict[int, Downloaded] = {}
@@ -310,17 +310,17 @@ def download_missions(
     return dict(sorted(found.items()))
 
 
-class _Listener(Station["_Stranger"]):
+class Listener(Station["Stranger"]):
     """A ground station that takes in whoever it hears."""
 
     def __init__(self, endpoints: Sequence[Endpoint], clock: Clock, log: FleetLog | None) -> None:
         super().__init__({}, endpoints, clock, log)
 
     def met(self, sysid: int) -> None:
-        self.peers[sysid] = _Stranger(Party(f"vehicle {sysid}", sysid))
+        self.peers[sysid] = Stranger(Party(f"vehicle {sysid}", sysid))
 
 
-class _Stranger(Peer):
+class Stranger(Peer):
     """A vehicle that no plan describes."""
 
     home: GeoPoint | None = None
@@ -333,8 +333,17 @@ class _Stranger(Peer):
         return super().receive(message, now_s)
 
 
+def homing(station: Listener, peer: Stranger) -> Steps:
+    """Ask a vehicle for its home; one without a home yet refuses."""
+    home = mavlink.MAVLINK_MSG_ID_HOME_POSITION
+    result = yield from station.commanding(peer, mavlink.MAV_CMD_REQUEST_MESSAGE, home)
+    end_s = station.clock.now_s() + ANSWER_S
+    while result == mavlink.MAV_RESULT_ACCEPTED and peer.home is None and station.clock.now_s() < end_s:
+        yield
+
+
 def _finding(
-    station: _Listener, peer: _Stranger, progress: TransferProgress | None, found: dict[int, Downloaded]
+    station: Listener, peer: Stranger, progress: TransferProgress | None, found: dict[int, Downloaded]
 ) -> Steps:
     autopilot, vehicle_class = peer.known_kind()
     parameters = yield from reading_motion(station, peer, autopilot, vehicle_class)
@@ -358,12 +367,7 @@ def _finding(
             remarks.append(f"{held.name} is {held.value:g}: its return is known only for {setting.value:g}")
     if height_m < 0.0:
         remarks.append(f"{held_height.name} is {held_height.value:g}: it returns at its present height")
-    # one without a home yet refuses
-    home = mavlink.MAVLINK_MSG_ID_HOME_POSITION
-    result = yield from station.commanding(peer, mavlink.MAV_CMD_REQUEST_MESSAGE, home)
-    end_s = station.clock.now_s() + ANSWER_S
-    while result == mavlink.MAV_RESULT_ACCEPTED and peer.home is None and station.clock.now_s() < end_s:
-        yield
+    yield from homing(station, peer)
     found[peer.party.sysid] = Downloaded(
         peer.party.sysid, autopilot, vehicle_class, items, peer.home, height_m, tuple(remarks), parameters
     )

@@ -32,7 +32,9 @@ from missionplanner.vehicle import Autopilot, VehicleClass
 
 _FIRMWARE: dict[Autopilot, int] = {"ardupilot": 3, "px4": 12}  # MAV_AUTOPILOT
 _VEHICLE_TYPE: dict[VehicleClass, int] = {"plane": 1, "copter": 2}  # MAV_TYPE
-_ALTITUDE_MODE = {FRAME_GLOBAL: 2, FRAME_RELATIVE: 1}  # QGroundControl: 1 relative to launch, 2 AMSL
+_ABOVE_TERRAIN = 10  # frame
+# QGroundControl: 1 relative to launch, 2 AMSL, 4 above the terrain that the vehicle knows
+_ALTITUDE_MODE = {FRAME_GLOBAL: 2, FRAME_RELATIVE: 1, _ABOVE_TERRAIN: 4}
 _CALCULATED_ABOVE_TERRAIN = 3  # altitude mode
 _PARAMS = 7
 _LARGEST = 1.7e308  # an integer of JSON may be beyond any float

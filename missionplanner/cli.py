@@ -753,6 +753,69 @@ def restore(
 
 
 @app.command()
+def download(
+    connect: ConnectUrls,
+    output: Annotated[
+        Path, typer.Option("--output", "-o", metavar="FOLDER", help="where to; nothing there is replaced")
+    ] = Path("download"),
+    sysid: Annotated[
+        list[int] | None, typer.Option(min=1, max=255, help="only this vehicle; may be repeated; default: all heard")
+    ] = None,
+    mission: Annotated[
+        Path | None, typer.Option(metavar="MISSION", help="only this mission file's vehicles, by their names")
+    ] = None,
+    signing_key: SigningKey = None,
+    as_json: AsJson = False,
+) -> None:
+    """Save what vehicles hold, fences and rally points too, as .plan and .waypoints files, and for restore."""
+    from adapters.backup import expect_no_backup, write_backup
+    from adapters.downloads import download as find
+    from adapters.fleet_link import WallClock
+    from missionplanner.files import ensure_writable
+
+    names: dict[int, str] | None = None
+    if mission is not None:
+        vehicles = enumerate(_mission(mission).vehicles, start=1)
+        names = {vehicle.sysid or index: vehicle.name for index, vehicle in vehicles}
+    expect_no_backup(output, list((names or {}).values()))
+    ensure_writable(output)
+    wanted = sysid or (None if names is None else list(names))
+    with _links(connect, signing_key) as endpoints, progress_bars() as progress:
+        bars = _transfer_bars(progress, "reading")
+        found = find(endpoints, WallClock(endpoints), names=names, expected=wanted, progress=bars)
+    homes = {vehicle.saved.sysid: vehicle.home for vehicle in found if vehicle.home is not None}
+    saved_at = datetime.now(UTC).isoformat(timespec="seconds")
+    paths = write_backup(output, [vehicle.saved for vehicle in found], saved_at, homes)
+    for vehicle in found:
+        for remark in vehicle.remarks:
+            _warn(remark)
+    if as_json:
+        rows = [
+            {
+                "name": v.saved.name,
+                "sysid": v.saved.sysid,
+                "autopilot": v.saved.autopilot,
+                "class": v.saved.vehicle_class,
+                "items": len(v.saved.mission),
+                "fence_items": len(v.saved.fence),
+                "rally_points": len(v.saved.rally),
+                "remarks": v.remarks,
+            }
+            for v in found
+        ]
+        print_json({"vehicles": rows, "files": [str(path) for path in paths]})
+        return
+    for v in (vehicle.saved for vehicle in found):
+        stdout.print(
+            f"{v.name} (sysid {v.sysid}, {v.autopilot} {v.vehicle_class}): {len(v.mission)} items, "
+            f"{len(v.fence)} of a fence, {len(v.rally)} rally points",
+            highlight=False,
+        )
+    for path in paths:
+        stdout.print(str(path), soft_wrap=True, highlight=False)
+
+
+@app.command()
 def parameters(
     connect: ConnectUrls,
     sysid: Annotated[int | None, typer.Option(min=1, max=255, help="only this vehicle; default: all heard")] = None,
