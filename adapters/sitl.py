@@ -18,6 +18,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -225,7 +226,7 @@ def terrain_data(request: Any, ground: Ground, frame: LocalFrame, elsewhere_amsl
 class SitlFleet:
     """The simulators of a plan's vehicles: started by :meth:`start`, stopped when the ``with`` block is left.
 
-    ``endpoints`` and ``clock`` are for the fleet's link. ``tell`` hears what is to be said to the user.
+    ``plan``, ``endpoints`` and ``clock`` are for the fleet's link. ``tell`` hears what is to be said to the user.
     """
 
     def __init__(
@@ -239,7 +240,9 @@ class SitlFleet:
         wind_m_s: tuple[float, float] | None = None,
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
-        self._plan = plan
+        # no simulator is the autopilot that a mission is bound to
+        unbound = tuple(vehicle.model_copy(update={"uid": None}) for vehicle in plan.mission.vehicles)
+        self.plan = replace(plan, mission=plan.mission.model_copy(update={"vehicles": unbound}))
         self._folder = folder
         self._tell = tell
         self._ground = ground
@@ -388,13 +391,13 @@ class SitlFleet:
 
     def _open(self, instance: Instance) -> None:
         if instance.url not in self._links:  # several PX4 instances may send to one port
-            homes_amsl_m = {vehicle.sysid: float(vehicle.home_m[2]) for vehicle in self._plan.vehicles}
+            homes_amsl_m = {vehicle.sysid: float(vehicle.home_m[2]) for vehicle in self.plan.vehicles}
             inner = open_endpoint(instance.url)
-            self._links[instance.url] = _TappedEndpoint(inner, self.clock, homes_amsl_m, self._ground, self._plan.frame)
+            self._links[instance.url] = _TappedEndpoint(inner, self.clock, homes_amsl_m, self._ground, self.plan.frame)
 
     def _heard(self) -> Station[FleetVehicle]:
         """Return a ground station that has heard each of the vehicles."""
-        vehicles = {vehicle.sysid: FleetVehicle(vehicle, self._plan) for vehicle in self._plan.vehicles}
+        vehicles = {vehicle.sysid: FleetVehicle(vehicle, self.plan) for vehicle in self.plan.vehicles}
         station = Station(vehicles, self.endpoints, self.clock, None)
         end_s = time.monotonic() + self._patience_s
         while silent := [vehicle for vehicle in vehicles.values() if vehicle.heartbeat is None]:

@@ -513,7 +513,7 @@ def _ground_station(
             stack.enter_context(simulators)
             with stderr.status("starting the autopilots") as status:
                 simulators.start(lambda name, missing: status.update(f"{name}: {missing}"))
-            endpoints, clock = simulators.endpoints, simulators.clock
+            fleet_plan, endpoints, clock = simulators.plan, simulators.endpoints, simulators.clock
         else:
             endpoints = [stack.enter_context(closing(open_endpoint("udpin:127.0.0.1:0")))]
             fleet = SimFleet(vehicles, frame=scene.frame, ground=ground, seed=fleet_plan.seed)
