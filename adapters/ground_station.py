@@ -20,6 +20,7 @@ from adapters.mission_protocol import Mismatch, MissionDownload, MissionUpload, 
 from adapters.parameter_protocol import ParameterList, ParameterRead, ParameterSet, ParametersRead, ParameterValue
 from adapters.pymavlink_link import PymavlinkLink
 from adapters.return_settings import Setting
+from adapters.signing import SignedEndpoint
 from adapters.telemetry_log import FleetLog
 from missionplanner.errors import LinkError
 from missionplanner.vehicle import Autopilot, VehicleClass
@@ -65,6 +66,7 @@ class WallClock:
 
 
 WAIT_S = 0.05
+_SIGNED = 0x01  # of a header's incompat_flags
 _UPLOADS = 3  # of what may have been taken, but reads back otherwise
 _SETBACK_MS = 5_000  # no link holds a message for so long while it lets later ones through
 _TWO = "give each vehicle its own sysid (ArduPilot SYSID_THISMAV, PX4 MAV_SYS_ID)"
@@ -96,6 +98,11 @@ class Peer:
         self._refusal: LinkError | None = None
         self._boot_ms = 0
         self._setbacks = 0  # of its clock
+
+    @property
+    def signs(self) -> bool:
+        """Whether its last heartbeat was signed, with whatever key."""
+        return self.heartbeat is not None and bool(self.heartbeat.get_header().incompat_flags & _SIGNED)
 
     @property
     def armed(self) -> bool:
@@ -210,6 +217,7 @@ class Station(Generic[AnyPeer]):
         self.link = PymavlinkLink(endpoints, log)
         self.peers = dict(peers)
         self.heard: set[int] = set()
+        self._signed = any(isinstance(endpoint, SignedEndpoint) for endpoint in endpoints)
 
     def wait_for(self, sysids: Sequence[int] | None, names: Mapping[int, str], timeout_s: float) -> None:
         """Listen until all these vehicles (None: at least one) are heard, long enough to hear two with one sysid.
@@ -244,7 +252,7 @@ class Station(Generic[AnyPeer]):
                 except StopIteration:
                     del running[sysid]
                 except LinkError as failure:
-                    failures.append(failure)
+                    failures.append(self._with_its_cause(sysid, failure))
                     del running[sysid]
             if running:
                 self.clock.wait(WAIT_S)
@@ -409,6 +417,13 @@ class Station(Generic[AnyPeer]):
             self.send(peer, dialogue.poll(self.clock.now_s()))
             yield
         peer.parameter = None
+
+    def _with_its_cause(self, sysid: int, failure: LinkError) -> LinkError:
+        """Return a failure with what is likely to be behind it: a vehicle that signs obeys nobody who does not."""
+        peer = self.peers.get(sysid)
+        if self._signed or peer is None or not peer.signs:
+            return failure
+        return LinkError(f"{failure}; it signs its messages: expected --signing-key with its key")
 
     def _missing(self, names: Sequence[str], expected: set[int], timeout_s: float) -> str:
         others = sorted(self.heard - expected)
