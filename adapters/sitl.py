@@ -64,6 +64,7 @@ _READY_S = 180.0  # of the vehicles' time
 _STOP_S = 3.0  # real time, to end by itself when told to
 _PATIENCE_S = 30.0  # of the vehicles' time; one that still boots is slow to answer
 _LAST_WORDS = 160
+_LAST_BYTES = 4_096
 _STATE = ("eeprom.bin", "flash.dat", "parameters*.bson", "dataman", "eeprom/parameters*", "terrain/*.DAT")
 _INTERVALS_S = {
     mavlink.MAVLINK_MSG_ID_SYSTEM_TIME: 0.25,
@@ -74,7 +75,7 @@ _ARDUPILOT_INTERVALS_S = {mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 1.0}
 _CHECK_S = 0.5  # real time between looks at the simulators
 _RATE_OVER_S = 0.5  # real time
 _RATE_FOR_S = 3.0  # real time
-_RATE_LEAST = 0.02
+_RATE_LEAST = 0.1
 
 _HEADER = re.compile(rb"\xfd(.)(.).{2}(.)\x01([\x02\x21\x85])\x00\x00", re.DOTALL)  # from an autopilot, MAVLink 2
 _HEADER_BYTES, _CHECKSUM_BYTES = 10, 2
@@ -147,8 +148,9 @@ class SitlClock:
 
     def _rate(self, wall_s: float) -> float:
         fresh = [rate for rate, seen_s in self._rates.values() if wall_s - seen_s <= _RATE_FOR_S]
-        # one that hangs must still run into its timeout
-        return min(max(min(fresh, default=self._speedup), _RATE_LEAST * self._speedup), 2.0 * self._speedup)
+        # where none is heard any more, real time is patient, and still runs into every timeout
+        usual = min(self._speedup, 1.0) if self._rates else self._speedup
+        return min(max(min(fresh, default=usual), _RATE_LEAST * usual), 2.0 * self._speedup)
 
 
 class _TappedEndpoint:
@@ -471,8 +473,12 @@ class SitlFleet:
 
 def _last_words(instance: Instance) -> str:
     """Return what a program printed last, and where the rest of it is."""
-    text = instance.log.read_text(errors="replace") if instance.log.exists() else ""
-    plain = re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", text)
+    text = b""
+    if instance.log.exists():
+        with instance.log.open("rb") as log:
+            log.seek(max(instance.log.stat().st_size - _LAST_BYTES, 0))
+            text = log.read()
+    plain = re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", text.decode(errors="replace"))
     lines = [" ".join(line.split()) for line in plain.splitlines() if line.strip()]
     said = " / ".join(lines[-3:])
     said = said if len(said) <= _LAST_WORDS else f"...{said[-_LAST_WORDS:]}"

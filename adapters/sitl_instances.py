@@ -75,6 +75,7 @@ _AIRFRAMES: dict[Kind, dict[str, float]] = {
         **{"PTCH2SRV_TCONST": 0.25},
     },
 }
+_BUILT = ("build/sitl/bin/arducopter", "build/px4_sitl_default/bin/px4", "bin/px4")  # in source and build trees
 _TREE_DEFAULTS = {
     "copter": ("Tools/autotest/default_params/copter.parm",),
     "plane": ("Tools/autotest/models/plane.parm", "Tools/autotest/default_params/plane.parm"),
@@ -129,7 +130,9 @@ def _program(name: str) -> Path:
     if not path.exists():
         raise MissionError(f"--sitl: expected a program that can be run, got {path}: there is no such file")
     if not path.is_file():
-        raise MissionError(f"--sitl: expected a program that can be run, got {path}: it is a folder")
+        inside = [path / name for name in _BUILT if (path / name).is_file()]
+        remedy = f": take {inside[0]}" if inside else ""
+        raise MissionError(f"--sitl: expected a program that can be run, got {path}: it is a folder{remedy}")
     if not os.access(path, os.X_OK):
         raise MissionError(f"--sitl: expected a program that can be run, got {path}: make it executable (chmod +x)")
     return path
@@ -353,6 +356,8 @@ def _px4(
 ) -> Instance:
     number = vehicle.sysid - 1
     etc = _px4_files(program)
+    if not (program.parent / "px4-alias.sh").exists():  # it looks for its commands where it is called
+        program = program.resolve()
     model, airframe = _MODELS[vehicle.vehicle_class]
     known = etc is not None and any((etc / "init.d-posix" / "airframes").glob(f"*_{model}"))
     environment = {

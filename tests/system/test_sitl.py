@@ -88,7 +88,7 @@ def fleet_of_three() -> dict[str, Any]:
     """Return a mission of an ArduCopter and two PX4 copters, on level ground."""
     px4 = {"autopilot": "px4"}
     return question(
-        copter("alpha", (0, 0), (150, 0), sysid=3),
+        copter("alpha", (0, 0), (150, 0), sysid=3, uid="0123456789abcdef"),  # a real one's: no simulator has it
         copter("bravo", (0, 60), (150, 60), sysid=12, parameters={"MPC_XY_CRUISE": 6.0}, **px4),
         copter("charlie", (0, 120), (150, 120), sysid=2, **px4),
     )
