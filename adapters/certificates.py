@@ -217,6 +217,7 @@ def read_vehicles(question: Mission, folder: Path, downloaded: Mapping[int, Down
                 found.items,
                 home_m,
                 found.return_height_m,
+                notes=found.notes,
                 return_remarks=found.remarks,
                 motion_remarks=(*map(str, comparison.differences), *comparison.unheld),
             )

@@ -283,6 +283,7 @@ class Downloaded:
     return_height_m: float
     remarks: tuple[str, ...]
     parameters: Mapping[str, ParameterValue]  # those that decide how it moves
+    notes: tuple[str, ...] = ()  # what else it holds that nobody checks
 
 
 def download_missions(
@@ -354,6 +355,8 @@ def _finding(
 
     items = yield from station.downloading(peer, tell)
     rally = yield from station.downloading(peer, mission_type=mavlink.MAV_MISSION_TYPE_RALLY)
+    fence = yield from station.downloading(peer, mission_type=mavlink.MAV_MISSION_TYPE_FENCE)
+    notes = (f"it holds a fence of {len(fence)} items, not checked: it may end the mission",) if fence else ()
     remarks = [f"it holds {len(rally)} rally points, to which it may return instead of its home"] if rally else []
     height, *_ = return_settings(autopilot, vehicle_class, 0.0)
     held_height = yield from station.reading(peer, autopilot, height, None)
@@ -369,7 +372,7 @@ def _finding(
         remarks.append(f"{held_height.name} is {held_height.value:g}: it returns at its present height")
     yield from homing(station, peer)
     found[peer.party.sysid] = Downloaded(
-        peer.party.sysid, autopilot, vehicle_class, items, peer.home, height_m, tuple(remarks), parameters
+        peer.party.sysid, autopilot, vehicle_class, items, peer.home, height_m, tuple(remarks), parameters, notes
     )
 
 

@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.backup import Saved, read_backup, restore, write_backup
 from adapters.endpoint import Peer, in_process_pair
-from adapters.fleet_link import FleetLink
+from adapters.fleet_link import FleetLink, download_missions
 from adapters.guards import Area, area_items
 from adapters.mission_items import MissionItem
 from adapters.plan_file import read_plan
@@ -363,3 +363,36 @@ def test_nobody_else_gets_it(change: dict[str, Any], told: str, tmp_path: Path) 
     with pytest.raises(LinkError, match=rf"uav1 \(sysid 1\): {told}.*; nothing was restored"):
         restore(wrong, list(rig.pipes), rig.clock)
     assert [link.missions.items() for link in rig.sim.links] == before
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_last_answer_that_never_comes_is_left_to_the_read_back(autopilot: Autopilot) -> None:
+    rig = Rig(small_fleet(autopilot, 2))
+    rig.pipes[0].down = lambda m: None if m.get_type() == "MISSION_ACK" else m
+    rig.upload()
+    assert set(rig.link.held) == {1, 2}
+
+
+def test_a_mission_that_is_never_confirmed_and_reads_back_otherwise_is_refused() -> None:
+    rig = Rig(small_fleet("px4", 1))
+
+    def changed(message: Any) -> Any:
+        if message.get_type() == "MISSION_ACK":
+            return None
+        if message.get_type() == "MISSION_ITEM_INT" and message.seq == 3:
+            message.x += 1
+        return message
+
+    rig.pipes[0].down = changed
+    with pytest.raises(
+        LinkError, match=r"uav1 .*never confirmed the mission, and holds another: item 3: x: sent .*; check"
+    ):
+        rig.upload()
+
+
+def test_a_held_fence_is_told_where_no_plan_is() -> None:
+    rig = Rig(small_fleet("ardupilot", 1))
+    hold(rig, 0, polygon((0, 0), (10, 0), (0, 10), inclusion=False), FENCE)
+    rig.upload()
+    [found] = download_missions(list(rig.pipes), rig.clock).values()
+    assert found.notes == ("it holds a fence of 3 items, not checked: it may end the mission",)
