@@ -816,6 +816,80 @@ def download(
 
 
 @app.command()
+def resume(
+    folder: PlanFolder,
+    vehicle: Annotated[str, typer.Option("--vehicle", metavar="NAME", help="whose mission goes on")],
+    item: Annotated[
+        int | None,
+        typer.Option(
+            "--from", metavar="N", min=0, help="mission item to fly back to, as vehicles and ground stations count"
+        ),
+    ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(metavar="TLOG", help="from where the leg begins that this flight was broken off on"),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="default: FOLDER_NAME_resumed")
+    ] = None,
+    seed: Seed = None,
+    as_json: AsJson = False,
+) -> None:
+    """Plan how a vehicle goes on from a waypoint, after a change of batteries: a proven plan of its own to fly."""
+    from bisect import bisect_left
+
+    from adapters.certificates import certify_plan
+    from adapters.export import export_fleet
+    from adapters.mission_items import plan_items
+    from adapters.resuming import flown_items, item_left
+    from missionplanner.files import ensure_writable
+    from missionplanner.plan_folder import PLAN_NAME, load_plan, save_certificate, save_plan
+    from missionplanner.resuming import find_vehicle
+    from missionplanner.resuming import resume as go_on
+
+    if (item is None) == (log is None):
+        raise MissionError("resume: expected exactly one of --from and --log")
+    scene, fleet_plan = load_plan(folder)
+    planned = find_vehicle(fleet_plan, vehicle)
+    items = plan_items(planned, fleet_plan.frame)
+    flown = flown_items(items, planned.autopilot)
+    if log is not None:  # the leg that was being flown is flown again as a whole
+        waypoint = bisect_left(flown, item_left(log, planned)) - 1
+    else:
+        assert item is not None
+        waypoint = bisect_left(flown, item)
+    if not 1 <= waypoint < len(flown):
+        goal = f"its waypoints are items {flown[1]} to {flown[-1]}"
+        what = "broken off there" if log is not None else f"got {item}"
+        early = "fly its own plan again" if waypoint < 1 else "nothing is left but its end"
+        raise MissionError(f"{vehicle}: {what}: {goal}: {early}")
+    target = output or folder.with_name(f"{folder.name}_{vehicle}_resumed")
+    if (target / PLAN_NAME).exists():
+        raise MissionError(f"{target}: expected a folder without a plan, got one: choose another with --output")
+    ensure_writable(target)
+    with progress_bars() as progress:
+        bar = progress.add_task(f"planning the way to item {flown[waypoint]}", total=1.0)
+
+        def watch(vehicle: str, done: float) -> None:
+            del vehicle
+            progress.update(bar, completed=done)
+
+        whole, rest = go_on(scene, fleet_plan, folder, vehicle, waypoint, seed=seed, watch=watch)
+    certificate = certify_plan(whole, rest)
+    if not certificate.proven:
+        raise InfeasibleError(f"{vehicle}: not proven as sent: {certificate.refusal}; nothing was written")
+    save_plan(target, whole, rest)
+    save_certificate(target, certificate)
+    export_fleet(rest, target / FILES)
+    others = [v.name for v in fleet_plan.vehicles if v.name != vehicle]
+    _warn(
+        f"{vehicle} goes on from item {flown[waypoint]} of {folder}"
+        + (f"; nothing is proven of {', '.join(others)}: they must not fly meanwhile" if others else "")
+    )
+    _show(replace(rest, certificate=certificate), target, as_json)
+
+
+@app.command()
 def parameters(
     connect: ConnectUrls,
     sysid: Annotated[int | None, typer.Option(min=1, max=255, help="only this vehicle; default: all heard")] = None,

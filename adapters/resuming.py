@@ -1,0 +1,120 @@
+"""Where a flight was broken off, and what of a mission of any origin must be set again to go on from an item.
+
+Autopilots skip what acts at once (speeds, regions of interest, cameras) when they are told to begin at a later item.
+What is in force there is issued again, each in the order in which the mission has it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from adapters.fleet_vehicle import MODES
+from adapters.mission_items import LAND, LOITER_UNLIMITED, RETURN_TO_LAUNCH, TAKEOFF, WAYPOINT, MissionItem
+from adapters.telemetry_log import read_log
+from missionplanner.errors import MissionError
+from missionplanner.plan import VehiclePlan
+from missionplanner.vehicle import Autopilot
+
+_ENDINGS = (LAND, LOITER_UNLIMITED, RETURN_TO_LAUNCH)
+_JUMPS = (177, 600, 601)  # DO_JUMP, JUMP_TAG, DO_JUMP_TAG
+_ROI = (80, 195, 196, 197, 201)
+_ROI_NONE = 197
+_SPEED = 178
+_PER_NUMBER = (181, 183)  # DO_SET_RELAY, DO_SET_SERVO: the last of every relay and servo
+# what ends what was begun: the last of a group is in force
+_GROUPS: dict[int, str] = {
+    **dict.fromkeys(_ROI, "region of interest"),
+    205: "mount",
+    1000: "gimbal",
+    1001: "gimbal's master",
+    204: "mount's mode",
+    206: "trigger distance",
+    214: "trigger interval",
+    2003: "trigger",
+    530: "camera mode",
+    531: "zoom",
+    532: "focus",
+    2000: "image capture",
+    2001: "image capture",
+    2500: "video",
+    2501: "video",
+}
+
+
+def flown_items(items: Sequence[MissionItem], autopilot: Autopilot) -> list[int]:
+    """Return the seqs of a mission's take-off and waypoints; ArduPilot's home is none of them."""
+    found = [item.seq for item in items if item.command in (TAKEOFF, WAYPOINT)]
+    return found[1:] if autopilot == "ardupilot" else found
+
+
+def item_left(path: Path, vehicle: VehiclePlan) -> int:
+    """Return the item that a vehicle was flying to when it last was in its mission, by its log or its fleet's.
+
+    Raises
+    ------
+    MissionError
+        The log cannot be read, or the vehicle is never in its mission there.
+    """
+    kinds = (mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_MISSION_CURRENT)
+    auto = MODES[vehicle.autopilot, vehicle.vehicle_class]["auto"]
+    in_mission, left = False, None
+    for _, message in read_log(path, kinds).records:
+        if (message.get_srcSystem(), message.get_srcComponent()) != (vehicle.sysid, 1):
+            continue
+        if message.get_type() == "HEARTBEAT":
+            armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+            in_mission = armed and message.custom_mode == auto
+        elif in_mission:
+            left = int(message.seq)
+    if left is None:
+        raise MissionError(
+            f"{path}: expected {vehicle.name} (sysid {vehicle.sysid}) in its mission, it never is: give --from"
+        )
+    return left
+
+
+def in_force(items: Sequence[MissionItem], at: int) -> tuple[MissionItem, ...]:
+    """Return what acts at once of the items before one, as far as it still holds there.
+
+    Raises
+    ------
+    MissionError
+        A jump: which items come before is not known.
+    """
+    last: dict[tuple[object, ...], MissionItem] = {}
+    for item in items:
+        if item.command in _JUMPS:
+            raise MissionError(f"item {item.seq}: jumps, so what comes before item {at} is not known: write it out")
+    for item in items[:at]:
+        if item.command == _SPEED:
+            kind = int(item.param1) if math.isfinite(item.param1) else 0
+            key: tuple[object, ...] = ("speed", "level" if kind in (0, 1) else kind)
+        elif item.command in _PER_NUMBER:
+            key = (item.command, item.param1)
+        elif item.command in _GROUPS:
+            key = (_GROUPS[item.command], item.param1 if item.command in (2500, 2501) else None)
+        else:
+            continue
+        last.pop(key, None)
+        last[key] = item
+    return tuple(item for item in last.values() if not _is_nothing(item))
+
+
+def _is_nothing(item: MissionItem) -> bool:
+    """Return whether a vehicle that has just started is so already."""
+    off = item.command in (_ROI_NONE, 2001, 2501)
+    return off or (item.command in (206, 214) and item.param1 == 0.0)
+
+
+def spliced(back: Sequence[MissionItem], items: Sequence[MissionItem], at: int) -> tuple[MissionItem, ...]:
+    """Return a mission that flies ``back`` to an item, sets what is in force there, and goes on from it."""
+    way = list(back)
+    if way[-1].command in _ENDINGS:
+        way.pop()
+    whole = [*way[:-1], *in_force(items, at), *items[at:]]  # the way's last waypoint is the item itself
+    return tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(whole))

@@ -1,0 +1,140 @@
+"""The rest of a vehicle's mission, from home again: after a change of batteries, or a flight that was broken off.
+
+The way from home to where the rest begins is planned as any other; the rest is flown as it was planned, at its speeds.
+All of it is proven anew as one flight. The vehicle flies alone: nothing is proven of others that fly meanwhile.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from missionplanner import planner, proof
+from missionplanner.errors import InfeasibleError, MissionError
+from missionplanner.geodesy import FloatArray
+from missionplanner.mission import Mission, Place, Point, Vehicle
+from missionplanner.path_search import PlannedPath
+from missionplanner.plan import FleetPlan, VehiclePlan
+from missionplanner.planner import Watch
+from missionplanner.scene import Scene, build_scene
+from missionplanner.vehicle import Ending
+
+_NAME_MAX = 40
+
+
+def find_vehicle(plan: FleetPlan, name: str) -> VehiclePlan:
+    """Return a plan's vehicle.
+
+    Raises
+    ------
+    MissionError
+        It has none of that name.
+    """
+    for vehicle in plan.vehicles:
+        if vehicle.name == name:
+            return vehicle
+    raise MissionError(f"--vehicle: expected one of {', '.join(v.name for v in plan.vehicles)}, got {name!r}")
+
+
+def resume(
+    scene: Scene,
+    plan: FleetPlan,
+    folder: Path,
+    name: str,
+    waypoint: int,
+    *,
+    seed: int | None = None,
+    watch: Watch | None = None,
+) -> tuple[Scene, FleetPlan]:
+    """Return the scene and the proven plan of a vehicle that flies from its home to a waypoint, and then the rest.
+
+    Parameters
+    ----------
+    folder : where the scene's terrain file lies
+    waypoint : its index among the vehicle's waypoints, above 0: that is the top of the take-off
+
+    Raises
+    ------
+    MissionError
+        No such vehicle or waypoint.
+    InfeasibleError
+        There is no clear way back to it, or the whole is not proven.
+    """
+    vehicle = find_vehicle(plan, name)
+    if not 1 <= waypoint < len(vehicle.waypoints_m):
+        raise MissionError(f"{name}: expected a waypoint from 1 to {len(vehicle.waypoints_m) - 1}, got {waypoint}")
+    back = way_to(scene, folder, vehicle, vehicle.waypoints_m[waypoint], seed=seed, watch=watch)
+    rest_m = vehicle.waypoints_m[waypoint:]
+    whole = build_scene(_alone(scene.mission, vehicle, rest_m, vehicle.end), folder)
+    begins = int(np.argmin(np.linalg.norm(vehicle.path_m - rest_m[0], axis=1)))
+    path_m = np.vstack([back.path_m, vehicle.path_m[begins + 1 :]])
+    path = PlannedPath(
+        path_m=path_m,
+        waypoints_m=np.vstack([back.waypoints_m[:-1], rest_m]),
+        length_m=float(np.linalg.norm(np.diff(path_m, axis=0), axis=1).sum()),
+        cost=back.cost,
+        cost_terms=back.cost_terms,
+        history=back.history,
+        evaluations=back.evaluations,
+    )
+    speeds_m_s = (*back.speeds_m_s.tolist(), *vehicle.speeds_m_s[waypoint:].tolist())
+    ((as_fast,), _) = planner.schedule(whole, [path], [0.0])
+    when = replace(as_fast, speeds_m_s=speeds_m_s, hold_s=(0.0,) * len(speeds_m_s))
+
+    def assembled(scene: Scene) -> FleetPlan:
+        made = planner.assemble(scene, [path], [when], None, plan.seed if seed is None else seed)
+        return replace(made, arrival_s=made.vehicles[0].arrival_s)
+
+    whole = planner.with_return_heights(whole, assembled(whole))
+    found = proof.checked(whole, assembled(whole))
+    assert found.certificate is not None
+    if not found.certificate.proven:
+        raise InfeasibleError(f"{name}, resumed at waypoint {waypoint}: not proven: {found.certificate.refusal}")
+    return whole, found
+
+
+def way_to(
+    scene: Scene, folder: Path, vehicle: VehiclePlan, place_m: FloatArray, *, seed: int | None, watch: Watch | None
+) -> VehiclePlan:
+    """Return a proven plan for a vehicle that flies from its home to a place (3,) in the air, alone, and stays there.
+
+    Raises
+    ------
+    InfeasibleError
+        There is none.
+    """
+    question = build_scene(_alone(scene.mission, vehicle, place_m[None, :], "loiter"), folder)
+    return planner.plan_fleet(question, seed=seed, watch=watch).vehicles[0]
+
+
+def _alone(question: Mission, vehicle: VehiclePlan, places_m: FloatArray, end: Ending) -> Mission:
+    """Return the mission of one vehicle through places (P, 3), all else as it was; towers are obstacles only."""
+    asked: Vehicle = next(v for v in question.vehicles if v.name == vehicle.name)
+    points = [Point(x_m=float(x), y_m=float(y), alt_amsl_m=float(z)) for x, y, z in places_m]
+    changes = {
+        "sysid": vehicle.sysid,
+        "home": Place(x_m=float(vehicle.home_m[0]), y_m=float(vehicle.home_m[1])),
+        "start": asked.start if vehicle.vehicle_class == "plane" else None,  # which says where it climbs to
+        "stops": tuple(points[:-1]),
+        "goal": points[-1],
+        "inspects": None,
+        "end": end,
+    }
+    kept = {"direct_return", "home_within_m", "send_fence", "separation_m"} & question.fleet.model_fields_set
+    fleet = type(question.fleet)(**{field: getattr(question.fleet, field) for field in kept})
+    inspection = question.inspection
+    if inspection is not None:  # what is left of the inspection is in the waypoints
+        inspection = inspection.model_copy(update={"share_min": 0.0})
+    weights = question.planner.weights.model_copy(update={"inspection": 0.0})
+    return question.model_copy(
+        update={
+            "description": f"{question.description} (the rest of {vehicle.name}'s mission, while nobody else flies)",
+            "name": f"{question.name}_{vehicle.name}_resumed"[:_NAME_MAX],
+            "vehicles": (asked.model_copy(update=changes),),
+            "fleet": fleet,
+            "inspection": inspection,
+            "planner": question.planner.model_copy(update={"weights": weights}),
+        }
+    )
