@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -20,6 +20,7 @@ from adapters.fleet_flight import FlightControl, ReadyProgress, WatchProgress
 from adapters.fleet_vehicle import FleetVehicle, Order, VehicleStatus
 from adapters.ground_station import ANSWER_S, Clock, Peer, Station, Steps, TransferProgress, WallClock
 from adapters.guards import breach, fence_limits, limit_breach
+from adapters.mavsdk_link import Mavsdk
 from adapters.mission_items import MissionItem, wire_to_degrees
 from adapters.mission_protocol import Party, what_is_sent
 from adapters.parameter_protocol import ParameterValue, mismatch
@@ -111,18 +112,27 @@ class FleetLink(FlightControl):
         self._station.together(goings, after_failure="nothing was uploaded")
         return tuple(found[sysid] for sysid in self._vehicles)
 
-    def upload(self, progress: TransferProgress | None = None) -> None:
-        """Give every vehicle its mission, all at the same time.
+    def upload(
+        self, progress: TransferProgress | None = None, *, via: Literal["pymavlink", "mavsdk"] = "pymavlink"
+    ) -> None:
+        """Give every vehicle its mission, all at the same time, by our own protocol or by MAVSDK's (in real time).
 
         Raises
         ------
         LinkError
             A vehicle is armed, refuses, or falls silent; nothing was armed.
+        MissionError
+            MAVSDK is asked for, and is not installed.
         """
         for vehicle in self._vehicles.values():
             if vehicle.armed:
                 raise vehicle.error("is armed: land and disarm it before giving it a mission; nothing was uploaded")
             vehicle.held = None
+        if via == "mavsdk":
+            with Mavsdk(self._station) as sdk:
+                goings = {k: self._uploading_by(sdk, vehicle, progress) for k, vehicle in self._vehicles.items()}
+                self._station.together(goings, after_failure="nothing was armed")
+            return
         goings = {sysid: self._uploading(vehicle, progress) for sysid, vehicle in self._vehicles.items()}
         self._station.together(goings, after_failure="nothing was armed")
 
@@ -187,6 +197,11 @@ class FleetLink(FlightControl):
             _tell(progress, vehicle, done, total)
 
         return self._station.uploading(vehicle, vehicle.plan.autopilot, vehicle.items, tell)
+
+    def _uploading_by(self, sdk: Mavsdk, vehicle: FleetVehicle, progress: TransferProgress | None) -> Steps:
+        _tell(progress, vehicle, 0, len(vehicle.items))
+        yield from sdk.uploading(vehicle, vehicle.items)
+        _tell(progress, vehicle, len(vehicle.items), len(vehicle.items))
 
     def _verifying(self, vehicle: FleetVehicle, progress: TransferProgress | None) -> Steps:
         def tell(done: int, _total: int | None) -> None:

@@ -207,6 +207,18 @@ def _unique_ids(message: Message) -> set[str]:
 AnyPeer = TypeVar("AnyPeer", bound=Peer)
 
 
+class Beside(Protocol):
+    """Another ground station's software that shares our links."""
+
+    def hear(self, frame: bytes) -> None:
+        """Take in a frame that has arrived."""
+        ...
+
+    def said(self) -> Sequence[Message]:
+        """Return the messages that it wants sent."""
+        ...
+
+
 class Station(Generic[AnyPeer]):
     """The loop beneath: one link, its clock, and the vehicles on it by sysid."""
 
@@ -217,6 +229,7 @@ class Station(Generic[AnyPeer]):
         self.link = PymavlinkLink(endpoints, log)
         self.peers = dict(peers)
         self.heard: set[int] = set()
+        self.beside: Beside | None = None
         self._signed = any(isinstance(endpoint, SignedEndpoint) for endpoint in endpoints)
 
     def wait_for(self, sysids: Sequence[int] | None, names: Mapping[int, str], timeout_s: float) -> None:
@@ -282,6 +295,10 @@ class Station(Generic[AnyPeer]):
             peer = self.peers.get(sysid)
             if peer is not None:
                 self.send(peer, peer.receive(message, now_s))
+            if self.beside is not None:
+                self.beside.hear(bytes(message.get_msgbuf()))
+        for message in self.beside.said() if self.beside is not None else ():
+            self.link.pass_on(message, self.peers, now_s)
 
     def met(self, sysid: int) -> None:
         """Take note of a vehicle that is heard for the first time."""

@@ -5,7 +5,7 @@ A vehicle is known by its sysid. Two sources with one sysid would each get the o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,6 +89,16 @@ class PymavlinkLink:
         frame = self._pack(message, route.endpoint)
         self._endpoints[route.endpoint].send(frame, route.peer)
         self._write(now_s, sysid, frame)
+
+    def pass_on(self, message: Message, sysids: Iterable[int], now_s: float) -> None:
+        """Send another station's message, as it signs itself: to its target, or to all of these vehicles if to all."""
+        target = getattr(message, "target_system", 0)
+        for sysid in sysids if target == 0 else {target}.intersection(sysids):
+            route = self._routes.get(sysid)
+            if route is not None:
+                frame = bytes(message.get_msgbuf())
+                self._endpoints[route.endpoint].send(frame, route.peer)
+                self._write(now_s, sysid, frame)
 
     def keep_to_routes(self) -> None:
         """From now on, drop what comes from elsewhere in a vehicle's name, instead of refusing both: they fly."""

@@ -299,6 +299,10 @@ def upload(
     output: Output = None,
     seed: Seed = None,
     unproven: Unproven = False,
+    via: Annotated[
+        Literal["pymavlink", "mavsdk"],
+        typer.Option(help="whose protocol uploads missions, over the same links; what is held is read back by our own"),
+    ] = "pymavlink",
     backup: Backup = None,
     signing_key: SigningKey = None,
     as_json: AsJson = False,
@@ -308,7 +312,7 @@ def upload(
     scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
     with _ground_station(scene, fleet_plan, folder, connect, None, signing_key, unproven=unproven) as link:
         _save_backup(link, backup)
-        _transfer(link, scene, fleet_plan, unproven=unproven)
+        _transfer(link, scene, fleet_plan, unproven=unproven, via=via)
     if as_json:
         missions = [{"sysid": sysid, "items": len(items), "verified": True} for sysid, items in link.items.items()]
         print_json({"mission": fleet_plan.mission.name, "folder": str(folder), "vehicles": missions})
@@ -586,13 +590,20 @@ def _save_backup(link: FleetLink, folder: Path | None) -> None:
     _warn(f"what the vehicles held is in {folder}: restore it with missionplanner restore {folder} --connect URL")
 
 
-def _transfer(link: FleetLink, scene: Scene, fleet_plan: FleetPlan, *, unproven: bool) -> None:
+def _transfer(
+    link: FleetLink,
+    scene: Scene,
+    fleet_plan: FleetPlan,
+    *,
+    unproven: bool,
+    via: Literal["pymavlink", "mavsdk"] = "pymavlink",
+) -> None:
     """Compare parameters, upload all missions, read them back, prove what is held, and set the heights to return at."""
     from adapters.certificates import certify, held_by_vehicles
 
     _compare_parameters(link, unproven=unproven)
     with progress_bars() as progress:
-        link.upload(_transfer_bars(progress, "uploading"))
+        link.upload(_transfer_bars(progress, "uploading"), via=via)
         link.verify(_transfer_bars(progress, "verifying"))
         certificate = certify(scene, held_by_vehicles(fleet_plan, link.held), arrival_s=fleet_plan.arrival_s)
         if not certificate.proven:
