@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import collections
+import collections.abc
 import socket
 import subprocess
 import sys
@@ -14,6 +16,7 @@ from typing import Any
 import mavsdk
 import pytest
 from mavsdk.plugins.action import Action
+from mavsdk.plugins.geofence import Circle, FenceType, Geofence, GeofenceData, Point, Polygon
 from mavsdk.plugins.mission import Mission
 from mavsdk.plugins.mission import MissionItem as Item
 from mavsdk.plugins.mission import MissionPlan as Plan
@@ -27,7 +30,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from adapters.mission_items import MissionItem
 from missionplanner.vehicle import Autopilot
 from sim.fleet import SimFleet, connect_fleet, listen_fleet, serve, sim_vehicles
-from tests.simulated import HOME, NAN, mission
+from tests.simulated import HOME, LAT, LON, NAN, mission
 
 pytestmark = pytest.mark.slow
 
@@ -47,11 +50,13 @@ def simulate() -> Iterator[Callable[..., tuple[SimFleet, int]]]:
     """Start fleets that run in a thread; returns the fleet and the port that it speaks to or listens on."""
     running: list[tuple[SimFleet, threading.Event, threading.Thread]] = []
 
-    def start(autopilot: Autopilot, count: int = 1, *, tcp: bool = False) -> tuple[SimFleet, int]:
+    def start(
+        autopilot: Autopilot, count: int = 1, *, tcp: bool = False, listening: bool = False
+    ) -> tuple[SimFleet, int]:
         fleet = SimFleet(sim_vehicles(count, HOME, autopilot=autopilot))
         port = free_port(socket.SOCK_STREAM if tcp else socket.SOCK_DGRAM)
-        if tcp:
-            listen_fleet(fleet, f"tcp:127.0.0.1:{port}")
+        if tcp or listening:
+            listen_fleet(fleet, f"{'tcp' if tcp else 'udp'}:127.0.0.1:{port}")
         else:
             connect_fleet(fleet, f"udpout:127.0.0.1:{port}")
         stop = threading.Event()
@@ -152,9 +157,7 @@ def test_mavsdk_mission_plugin_loses_its_first_waypoint_to_ardupilots_home(
     fleet, port = simulate("ardupilot")
     mavsdk_instance.add_any_connection(f"udpin://127.0.0.1:{port}")
     system = mavsdk_instance.first_autopilot(PATIENCE_S)
-    none = (Item.CameraAction.NONE, NAN, NAN, 5.0, NAN, NAN, Item.VehicleAction.NONE)
-    places = [(34.3005, -118.1), (34.301, -118.1), (34.301, -118.101)]
-    Mission(system).upload_mission(Plan([Item(*place, 20.0, 5.0, True, NAN, NAN, *none) for place in places]))
+    Mission(system).upload_mission(mission_plan())
     held = [i for i in fleet.links[0].missions.items() if i.command == mavlink.MAV_CMD_NAV_WAYPOINT]
     assert [(i.x, i.y) for i in held] == [
         (343_000_000, -1_181_000_000),
@@ -163,13 +166,93 @@ def test_mavsdk_mission_plugin_loses_its_first_waypoint_to_ardupilots_home(
     ]
 
 
-def test_mavsdk_sees_ten_vehicles_on_one_port(
+PLACES = [(34.3005, -118.1), (34.301, -118.1), (34.301, -118.101)]
+
+
+def mission_plan() -> Any:
+    none = (Item.CameraAction.NONE, NAN, NAN, 2.0, NAN, NAN, Item.VehicleAction.NONE)
+    return Plan([Item(*place, 20.0, 5.0, True, NAN, NAN, *none) for place in PLACES])
+
+
+def test_mavsdk_mission_plugin_flies_px4_to_the_end(
     simulate: Callable[..., tuple[SimFleet, int]], mavsdk_instance: Any
 ) -> None:
-    _, port = simulate("px4", 10)
+    _, port = simulate("px4")
     mavsdk_instance.add_any_connection(f"udpin://127.0.0.1:{port}")
+    system = mavsdk_instance.first_autopilot(PATIENCE_S)
+    telemetry, plugin, action = Telemetry(system), Mission(system), Action(system)
+    wait_for(telemetry.health_all_ok, "health_all_ok")
+    plugin.set_return_to_launch_after_mission(True)
+    plugin.upload_mission(mission_plan())
+    held = plugin.download_mission().mission_items
+    assert [(round(i.latitude_deg, 7), round(i.longitude_deg, 7)) for i in held] == PLACES
+    action.arm()
+    plugin.start_mission()
+    wait_for(telemetry.in_air, "take-off")
+    plugin.pause_mission()
+    plugin.start_mission()
+    wait_for(plugin.is_mission_finished, "the mission's end")
+    progress = plugin.mission_progress()
+    assert progress.current == progress.total == len(PLACES)
+    wait_for(lambda: not telemetry.in_air() and not telemetry.armed(), "touch-down")
+
+
+@BOTH
+def test_mavsdk_uploads_a_geofence_and_reads_it_back(
+    autopilot: Autopilot, simulate: Callable[..., tuple[SimFleet, int]], mavsdk_instance: Any
+) -> None:
+    fleet, port = simulate(autopilot)
+    mavsdk_instance.add_any_connection(f"udpin://127.0.0.1:{port}")
+    system = mavsdk_instance.first_autopilot(PATIENCE_S)
+    wait_for(Telemetry(system).health_all_ok, "health_all_ok")
+    corners = [Point(34.29, -118.11), Point(34.29, -118.09), Point(34.31, -118.09), Point(34.31, -118.11)]
+    fence = GeofenceData(
+        [Polygon(corners, FenceType.INCLUSION)], [Circle(Point(34.305, -118.1), 50.0, FenceType.EXCLUSION)]
+    )
+    plugin = Geofence(system)
+    plugin.upload_geofence(fence)
+    held = fleet.links[0].missions.items(mavlink.MAV_MISSION_TYPE_FENCE)
+    inside, outside = (
+        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION,
+        mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION,
+    )
+    assert [(i.command, i.param1) for i in held] == [(inside, 4.0)] * 4 + [(outside, 50.0)]
+    assert [(i.x, i.y) for i in held[:2]] == [(342_900_000, -1_181_100_000), (342_900_000, -1_180_900_000)]
+    read = plugin.download_geofence()
+    assert [[(p.latitude_deg, p.longitude_deg) for p in polygon.points] for polygon in read.polygons] == [
+        [pytest.approx((p.latitude_deg, p.longitude_deg), abs=1e-7) for p in corners]
+    ]
+    assert [circle.radius for circle in read.circles] == [50.0]
+    plugin.clear_geofence()
+    assert fleet.links[0].missions.items(mavlink.MAV_MISSION_TYPE_FENCE) == ()
+
+
+@pytest.mark.parametrize("own_ports", [False, True])
+@BOTH
+def test_mavsdk_gives_ten_vehicles_each_its_mission(
+    autopilot: Autopilot, own_ports: bool, simulate: Callable[..., tuple[SimFleet, int]], mavsdk_instance: Any
+) -> None:
+    fleet, port = simulate(autopilot, 10, listening=own_ports)
+    if own_ports:
+        for k in range(10):
+            mavsdk_instance.add_any_connection(f"udpout://127.0.0.1:{port + 10 * k}")
+    else:
+        mavsdk_instance.add_any_connection(f"udpin://127.0.0.1:{port}")
     wait_for(lambda: mavsdk_instance.system_count() == 10, "ten systems")
-    assert sorted(s.get_system_id() for s in mavsdk_instance.get_systems()) == list(range(1, 11))
+    systems = {s.get_system_id(): s for s in mavsdk_instance.get_systems()}
+    assert sorted(systems) == list(range(1, 11))
+    wait_for(lambda: all(system.is_connected() for system in systems.values()), "ten connections")
+    for sysid, system in systems.items():
+        items = raw_items(RawItem, autopilot)
+        for item in items:
+            item.z += sysid
+        MissionRaw(system).upload_mission(items)
+    for link in fleet.links:
+        wanted = [i.z + link.sysid for i in mission(autopilot) if i.command == mavlink.MAV_CMD_NAV_WAYPOINT]
+        held = [i.z for i in link.missions.items() if i.command == mavlink.MAV_CMD_NAV_WAYPOINT]
+        if autopilot == "ardupilot":  # home is the vehicle's own
+            wanted, held = wanted[1:], held[1:]
+        assert held == pytest.approx(wanted)
 
 
 @BOTH
@@ -257,47 +340,147 @@ def waypoints_text(items: Sequence[MissionItem]) -> str:
     return "QGC WPL 110\n" + "".join("\t".join(map(str, row)) + "\n" for row in rows)
 
 
-def test_mavproxy_loads_lists_arms_and_flies(simulate: Callable[..., tuple[SimFleet, int]], tmp_path: Path) -> None:
+class MavProxy:
+    """MAVProxy, told what to do on its standard input."""
+
+    def __init__(self, port: int, folder: Path) -> None:
+        program = Path(sys.executable).with_name("mavproxy.py")
+        if not program.exists():
+            pytest.skip("mavproxy.py is not beside this Python")
+        modules = "mode,wp,fence,rally,ftp,param,arm,cmdlong,misc,link"
+        self.process = subprocess.Popen(
+            [sys.executable, str(program), f"--master=tcp:127.0.0.1:{port}", f"--default-modules={modules}"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            cwd=folder,
+        )
+        self.said: list[str] = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        self.said.extend(iter(self.process.stdout.readline, ""))
+
+    def hear(self, answer: str) -> None:
+        wait_for(lambda: any(answer in line for line in self.said), f"{answer!r} in {''.join(self.said)}")
+
+    def say(self, command: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(command + "\n")
+        self.process.stdin.flush()
+
+    def tell(self, command: str, answer: str) -> None:
+        """Give a command, and wait for an answer that has not been given before."""
+        before = len(self.said)
+        self.say(command)
+        wait_for(
+            lambda: any(answer in line for line in self.said[before:]),
+            f"{command!r} -> {answer!r} in {''.join(self.said)}",
+        )
+
+    def close(self) -> None:
+        self.process.kill()  # it would wait for its standard input
+        self.process.wait(10.0)
+        self._reader.join(5.0)
+        for pipe in (self.process.stdin, self.process.stdout):
+            assert pipe is not None
+            pipe.close()
+
+
+@pytest.fixture
+def mavproxy(tmp_path: Path) -> Iterator[Callable[[int], MavProxy]]:
+    running: list[MavProxy] = []
+
+    def start(port: int) -> MavProxy:
+        running.append(MavProxy(port, tmp_path))
+        return running[-1]
+
+    yield start
+    for proxy in running:
+        proxy.close()
+
+
+def fence_items() -> list[MissionItem]:
+    corner = mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION
+    places = [(-10_000, -10_000), (-10_000, 10_000), (10_000, 10_000), (10_000, -10_000)]
+    corners = [MissionItem(k, 3, corner, 4.0, x=LAT + x, y=LON + y) for k, (x, y) in enumerate(places)]
+    hole = MissionItem(4, 3, mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION, 30.0, x=LAT + 8_000, y=LON)
+    return [*corners, hole]
+
+
+def test_mavproxy_loads_lists_arms_and_flies(
+    simulate: Callable[..., tuple[SimFleet, int]], mavproxy: Callable[[int], MavProxy], tmp_path: Path
+) -> None:
     fleet, port = simulate("ardupilot", tcp=True)
     (tmp_path / "mission.txt").write_text(waypoints_text(mission("ardupilot")))
-    program = Path(sys.executable).with_name("mavproxy.py")
-    if not program.exists():
-        pytest.skip("mavproxy.py is not beside this Python")
-    modules = "mode,wp,param,arm,cmdlong,misc,link"
-    proxy = subprocess.Popen(
-        [sys.executable, str(program), f"--master=tcp:127.0.0.1:{port}", f"--default-modules={modules}"],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        cwd=tmp_path,
-    )
-    said: list[str] = []
-    assert proxy.stdout is not None
-    assert proxy.stdin is not None
-    reader = threading.Thread(target=lambda: said.extend(iter(proxy.stdout.readline, "")), daemon=True)  # type: ignore[union-attr]
-    reader.start()
+    (tmp_path / "fence.txt").write_text(waypoints_text(fence_items()))
+    proxy = mavproxy(port)
+    proxy.hear("parameters (ftp)")
+    proxy.tell("wp load mission.txt", "ACCEPTED")
+    proxy.tell("wp list", "Saved 6 waypoints")
+    proxy.tell("fence load fence.txt", "ACCEPTED")
+    proxy.tell("fence list", "Saved 5 fence")
+    held = fleet.links[0].missions.items(mavlink.MAV_MISSION_TYPE_FENCE)
+    assert [(i.command, i.param1, i.x, i.y) for i in held] == [(i.command, i.param1, i.x, i.y) for i in fence_items()]
+    proxy.tell("param show WPNAV_SPEED", "1000.0")
+    proxy.say("param set WPNAV_SPEED 900")
+    wait_for(lambda: fleet.links[0].autopilot.parameters["WPNAV_SPEED"] == 900.0, "param set")
+    proxy.tell("mode GUIDED", "Mode GUIDED")
+    proxy.tell("arm throttle", "ARMED")
+    proxy.tell("mode AUTO", "Mission: 1 Takeoff")
+    proxy.hear("DISARMED")
+    assert any("Reached command #4" in line for line in proxy.said)
+    assert fleet.links[0].autopilot.landed
 
-    def tell(command: str, answer: str) -> None:
-        assert proxy.stdin is not None
-        proxy.stdin.write(command + "\n")
-        proxy.stdin.flush()
-        wait_for(lambda: any(answer in line for line in said), f"{command!r} -> {answer!r} in {''.join(said)}")
 
+def test_mavproxy_speaks_with_px4(
+    simulate: Callable[..., tuple[SimFleet, int]], mavproxy: Callable[[int], MavProxy], tmp_path: Path
+) -> None:
+    """PX4 has no file of parameters: MAVProxy lists them without its time-out. Integers come by their bytes."""
+    fleet, port = simulate("px4", tcp=True)
+    (tmp_path / "mission.txt").write_text(waypoints_text(mission("px4")))
+    proxy = mavproxy(port)
+    proxy.hear(f"Received {len(fleet.links[0].autopilot.parameters)} parameters")
+    proxy.tell("wp load mission.txt", "ACCEPTED")
+    proxy.tell("wp list", "Saved 5 waypoints")
+    proxy.tell("param show NAV_RCL_ACT", "2")
+    proxy.tell("arm throttle", "ARMED")
+    proxy.tell("long DO_SET_MODE 157 4 4", "Mode MISSION")  # its "mode" takes PX4's modes for numbers
+    proxy.hear("DISARMED")
+    assert fleet.links[0].autopilot.landed
+    assert "parameters (ftp)" not in "".join(proxy.said)
+
+
+def test_dronekit_uploads_and_flies(simulate: Callable[..., tuple[SimFleet, int]]) -> None:
+    """A library of 2020 that many scripts still use; on today's Python it needs what collections has lost."""
+    collections.MutableMapping = collections.abc.MutableMapping  # type: ignore[attr-defined]
     try:
-        wait_for(lambda: any("Received" in line for line in said), "parameters")
-        tell("wp load mission.txt", "ACCEPTED")
-        tell("wp list", "Saved 6 waypoints")
-        tell("param show WPNAV_SPEED", "1000.0")
-        tell("mode GUIDED", "Mode GUIDED")
-        tell("arm throttle", "ARMED")
-        tell("mode AUTO", "Mission: 1 Takeoff")
-        wait_for(lambda: any("DISARMED" in line for line in said), "the mission's end")
-        assert any("Reached command #4" in line for line in said)
+        dronekit = pytest.importorskip("dronekit", reason="dronekit 2.9.2 is not installed")
     finally:
-        proxy.kill()  # it would wait for its standard input
-        proxy.wait(10.0)
-        reader.join(5.0)
-        proxy.stdin.close()
-        proxy.stdout.close()
+        del collections.MutableMapping  # type: ignore[attr-defined]
+    fleet, port = simulate("ardupilot", tcp=True)
+    vehicle = dronekit.connect(f"tcp:127.0.0.1:{port}", wait_ready=True, timeout=PATIENCE_S)
+    try:
+        commands = vehicle.commands
+        commands.download()  # learns home, which its upload puts before the items
+        commands.wait_ready()
+        commands.clear()
+        for i in mission("ardupilot")[1:]:
+            params = (i.param1, i.param2, i.param3, i.param4)
+            commands.add(dronekit.Command(0, 0, 0, i.frame, i.command, 0, 1, *params, i.x * 1e-7, i.y * 1e-7, i.z))
+        commands.upload()
+        commands.download()
+        commands.wait_ready()
+        assert [c.command for c in commands] == [i.command for i in mission("ardupilot")[1:]]
+        vehicle.mode = dronekit.VehicleMode("GUIDED")
+        vehicle.armed = True
+        wait_for(lambda: vehicle.armed, "arming")
+        vehicle.mode = dronekit.VehicleMode("AUTO")
+        wait_for(lambda: vehicle.location.global_relative_frame.alt > 15.0, "take-off")
+        wait_for(lambda: not vehicle.armed, "the mission's end")
+    finally:
+        vehicle.close()
     assert fleet.links[0].autopilot.landed
