@@ -27,12 +27,16 @@ class _Vehicles:
         self.did.append("compare")
         return ()
 
-    def upload(self, progress: Any) -> None:
+    def upload(self, progress: Any, *, via: str) -> None:
         self.did.append("upload")
 
     def verify(self, progress: Any) -> None:
         self.held = fleet_items(self._plan)
         self.did.append("verify")
+
+    def send_guards(self, progress: Any) -> tuple[str]:
+        self.did.append("send_guards")
+        return ("alpha is not sent no-fly area school",)
 
     def set_returns(self, progress: Any) -> tuple[()]:
         self.did.append("set_returns")
@@ -47,5 +51,7 @@ def test_what_is_held_and_not_proven_is_refused_or_told(capsys: pytest.CaptureFi
         cli._transfer(cast("FleetLink", vehicles), there, plan, unproven=False)
     assert vehicles.did == ["compare", "upload", "verify"]
     cli._transfer(cast("FleetLink", vehicles), there, plan, unproven=True)
-    assert vehicles.did[3:] == ["compare", "upload", "verify", "set_returns"]
-    assert "UNPROVEN: what the vehicles hold is not proven: alpha: item 3: mast" in capsys.readouterr().err
+    assert vehicles.did[3:] == ["compare", "upload", "verify", "send_guards", "set_returns"]
+    told = capsys.readouterr().err
+    assert "UNPROVEN: what the vehicles hold is not proven: alpha: item 3: mast" in told
+    assert "missionplanner: alpha is not sent no-fly area school\n" in told
