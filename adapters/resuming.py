@@ -13,14 +13,21 @@ from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from adapters.certificates import Held, read_files, sortie, with_return_heights
 from adapters.fleet_vehicle import MODES
-from adapters.mission_items import LAND, LOITER_UNLIMITED, RETURN_TO_LAUNCH, TAKEOFF, WAYPOINT, MissionItem
+from adapters.mission_items import TAKEOFF, WAYPOINT, MissionItem, plan_items
+from adapters.plan_file import PlanFile, plan_text
 from adapters.telemetry_log import read_log
+from adapters.waypoints_file import waypoints_text
 from missionplanner.errors import MissionError
+from missionplanner.files import write_atomic
+from missionplanner.mission import Mission
 from missionplanner.plan import VehiclePlan
+from missionplanner.planner import Watch
+from missionplanner.resuming import way_to
+from missionplanner.scene import Scene
 from missionplanner.vehicle import Autopilot
 
-_ENDINGS = (LAND, LOITER_UNLIMITED, RETURN_TO_LAUNCH)
 _JUMPS = (177, 600, 601)  # DO_JUMP, JUMP_TAG, DO_JUMP_TAG
 _ROI = (80, 195, 196, 197, 201)
 _ROI_NONE = 197
@@ -111,10 +118,54 @@ def _is_nothing(item: MissionItem) -> bool:
     return off or (item.command in (206, 214) and item.param1 == 0.0)
 
 
-def spliced(back: Sequence[MissionItem], items: Sequence[MissionItem], at: int) -> tuple[MissionItem, ...]:
-    """Return a mission that flies ``back`` to an item, sets what is in force there, and goes on from it."""
-    way = list(back)
-    if way[-1].command in _ENDINGS:
-        way.pop()
-    whole = [*way[:-1], *in_force(items, at), *items[at:]]  # the way's last waypoint is the item itself
-    return tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(whole))
+def resume_file(
+    question: Mission,
+    folder: Path,
+    path: Path,
+    name: str,
+    at: int,
+    *,
+    seed: int | None = None,
+    watch: Watch | None = None,
+) -> tuple[Scene, Held]:
+    """Return a mission file's rest for a vehicle of a mission: from its home to item ``at``, and on; not proven yet.
+
+    Raises
+    ------
+    MissionError
+        The file cannot be read, has no waypoint at that item, jumps, or is not understood before it.
+    InfeasibleError
+        There is no clear way to the item.
+    """
+    owner = next((v for v in question.vehicles if v.name == name), None)
+    if owner is None:
+        known = ", ".join(v.name for v in question.vehicles)
+        raise MissionError(f"--vehicle: expected a vehicle of the mission ({known}), got {name!r}")
+    number = question.vehicles.index(owner) + 1
+    alone = question.model_copy(update={"vehicles": (owner.model_copy(update={"sysid": owner.sysid or number}),)})
+    alone = alone.model_copy(update={"fleet": type(question.fleet)(direct_return=question.fleet.direct_return)})
+    scene, (held,) = read_files(alone, folder, [path])
+    flown = sortie(scene, held)
+    legs = [leg for leg in flown.legs[1:] if leg.seq == at]
+    if not legs or held.items[at].command != WAYPOINT:
+        known = ", ".join(str(leg.seq) for leg in flown.legs[1:] if held.items[leg.seq].command == WAYPOINT)
+        raise MissionError(f"{path}: expected a waypoint after the take-off at item {at}, got another: {known} are")
+    back = way_to(alone, folder, name, flown.home_m, legs[0].end_m, seed=seed, watch=watch)
+    *way, _goal, _ending = plan_items(back, scene.frame)  # the goal is the item itself
+    whole = [*way, *in_force(held.items, at), *held.items[at:]]
+    items = tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(whole))
+    (resumed,) = with_return_heights(scene, [replace(held, items=items, home_m=flown.home_m, path=None, notes=())])
+    return scene, resumed
+
+
+def write_files(scene: Scene, held: Held, folder: Path) -> list[Path]:
+    """Write a vehicle's mission as ``.plan`` and ``.waypoints`` and return their paths."""
+    flown = sortie(scene, held)
+    home = scene.frame.geo_point(flown.home_m)
+    texts = {
+        f"{held.name}.plan": plan_text(PlanFile(flown.autopilot, home, held.items), flown.vehicle_class),
+        f"{held.name}.waypoints": waypoints_text(held.items, flown.autopilot, home),
+    }
+    for name, text in texts.items():
+        write_atomic(folder / name, text)
+    return [folder / name for name in texts]

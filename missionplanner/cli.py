@@ -35,6 +35,7 @@ if TYPE_CHECKING:  # the planner takes a second to import: commands that do with
     from missionplanner.flight_check import FlightCheck
     from missionplanner.mission import Mission
     from missionplanner.plan import FleetFlight, FleetPlan, Ordered
+    from missionplanner.planner import Watch
     from missionplanner.scene import Scene
     from sim.fleet import SimVehicle
 
@@ -828,12 +829,20 @@ def download(
 
 @app.command()
 def resume(
-    folder: PlanFolder,
+    target: Annotated[
+        Path, typer.Argument(metavar="FOLDER|FILE", help="plan folder; or a mission file, with --mission")
+    ],
     vehicle: Annotated[str, typer.Option("--vehicle", metavar="NAME", help="whose mission goes on")],
     item: Annotated[
         int | None,
         typer.Option(
             "--from", metavar="N", min=0, help="mission item to fly back to, as vehicles and ground stations count"
+        ),
+    ] = None,
+    mission: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MISSION", help="of a .plan or .waypoints: mission file with terrain, obstacles, vehicles"
         ),
     ] = None,
     log: Annotated[
@@ -847,6 +856,24 @@ def resume(
     as_json: AsJson = False,
 ) -> None:
     """Plan how a vehicle goes on from a waypoint, after a change of batteries: a proven plan of its own to fly."""
+    if mission is not None:
+        if item is None:
+            raise MissionError("resume: expected --from with --mission")
+        _resume_file(target, mission, vehicle, item, output, seed, as_json=as_json)
+    else:
+        _resume_plan(target, vehicle, item, log, output, seed, as_json=as_json)
+
+
+def _resume_plan(
+    folder: Path,
+    vehicle: str,
+    item: int | None,
+    log: Path | None,
+    output: Path | None,
+    seed: int | None,
+    *,
+    as_json: bool,
+) -> None:
     from bisect import bisect_left
 
     from adapters.certificates import certify_plan
@@ -878,13 +905,7 @@ def resume(
     if (target / PLAN_NAME).exists():
         raise MissionError(f"{target}: expected a folder without a plan, got one: choose another with --output")
     ensure_writable(target)
-    with progress_bars() as progress:
-        bar = progress.add_task(f"planning the way to item {flown[waypoint]}", total=1.0)
-
-        def watch(vehicle: str, done: float) -> None:
-            del vehicle
-            progress.update(bar, completed=done)
-
+    with _planning(f"planning the way to item {flown[waypoint]}") as watch:
         whole, rest = go_on(scene, fleet_plan, folder, vehicle, waypoint, seed=seed, watch=watch)
     certificate = certify_plan(whole, rest)
     if not certificate.proven:
@@ -898,6 +919,45 @@ def resume(
         + (f"; nothing is proven of {', '.join(others)}: they must not fly meanwhile" if others else "")
     )
     _show(replace(rest, certificate=certificate), target, as_json)
+
+
+def _resume_file(
+    path: Path, mission: Path, vehicle: str, item: int, output: Path | None, seed: int | None, *, as_json: bool
+) -> None:
+    from adapters.backup import expect_no_backup
+    from adapters.certificates import certify
+    from adapters.resuming import resume_file, write_files
+    from missionplanner.files import ensure_writable
+
+    folder = output or Path("out") / f"{path.stem}_resumed"
+    expect_no_backup(folder, [vehicle])
+    ensure_writable(folder)
+    with _planning(f"planning the way to item {item}") as watch:
+        scene, held = resume_file(_mission(mission), mission.parent, path, vehicle, item, seed=seed, watch=watch)
+    certificate = certify(scene, [held])
+    if not certificate.proven:
+        raise InfeasibleError(f"{vehicle}: not proven: {certificate.refusal}; nothing was written")
+    paths = write_files(scene, held, folder)
+    paths += _write_check(folder, scene, [held], certificate).values()
+    _warn(f"{vehicle} goes on from item {item} of {path}; nothing is proven of others: they must not fly meanwhile")
+    _warn(f"{vehicle}: proven for a return at {held.return_height_m:.1f} m above home: set that on the vehicle")
+    if as_json:
+        print_json(certificate.as_json() | {"files": [str(written) for written in paths]})
+        return
+    for written in paths:
+        stdout.print(str(written), soft_wrap=True, highlight=False)
+
+
+@contextmanager
+def _planning(what: str) -> Iterator[Watch]:
+    with progress_bars() as progress:
+        bar = progress.add_task(what, total=1.0)
+
+        def watch(vehicle: str, done: float) -> None:
+            del vehicle
+            progress.update(bar, completed=done)
+
+        yield watch
 
 
 @app.command()

@@ -14,7 +14,7 @@ import numpy as np
 from missionplanner import planner, proof
 from missionplanner.errors import InfeasibleError, MissionError
 from missionplanner.geodesy import FloatArray
-from missionplanner.mission import Mission, Place, Point, Vehicle
+from missionplanner.mission import Mission, Place, Point
 from missionplanner.path_search import PlannedPath
 from missionplanner.plan import FleetPlan, VehiclePlan
 from missionplanner.planner import Watch
@@ -65,9 +65,9 @@ def resume(
     vehicle = find_vehicle(plan, name)
     if not 1 <= waypoint < len(vehicle.waypoints_m):
         raise MissionError(f"{name}: expected a waypoint from 1 to {len(vehicle.waypoints_m) - 1}, got {waypoint}")
-    back = way_to(scene, folder, vehicle, vehicle.waypoints_m[waypoint], seed=seed, watch=watch)
     rest_m = vehicle.waypoints_m[waypoint:]
-    whole = build_scene(_alone(scene.mission, vehicle, rest_m, vehicle.end), folder)
+    back = way_to(scene.mission, folder, name, vehicle.home_m, rest_m[0], seed=seed, watch=watch)
+    whole = build_scene(_alone(scene.mission, name, vehicle.home_m, rest_m, vehicle.end), folder)
     begins = int(np.argmin(np.linalg.norm(vehicle.path_m - rest_m[0], axis=1)))
     path_m = np.vstack([back.path_m, vehicle.path_m[begins + 1 :]])
     path = PlannedPath(
@@ -96,27 +96,34 @@ def resume(
 
 
 def way_to(
-    scene: Scene, folder: Path, vehicle: VehiclePlan, place_m: FloatArray, *, seed: int | None, watch: Watch | None
+    question: Mission,
+    folder: Path,
+    name: str,
+    home_m: FloatArray,
+    place_m: FloatArray,
+    *,
+    seed: int | None = None,
+    watch: Watch | None = None,
 ) -> VehiclePlan:
-    """Return a proven plan for a vehicle that flies from its home to a place (3,) in the air, alone, and stays there.
+    """Return a proven plan for a mission's vehicle that flies from a home (3,) to a place in the air, and stays there.
 
     Raises
     ------
     InfeasibleError
         There is none.
     """
-    question = build_scene(_alone(scene.mission, vehicle, place_m[None, :], "loiter"), folder)
-    return planner.plan_fleet(question, seed=seed, watch=watch).vehicles[0]
+    scene = build_scene(_alone(question, name, home_m, place_m[None, :], "loiter"), folder)
+    return planner.plan_fleet(scene, seed=seed, watch=watch).vehicles[0]
 
 
-def _alone(question: Mission, vehicle: VehiclePlan, places_m: FloatArray, end: Ending) -> Mission:
+def _alone(question: Mission, name: str, home_m: FloatArray, places_m: FloatArray, end: Ending) -> Mission:
     """Return the mission of one vehicle through places (P, 3), all else as it was; towers are obstacles only."""
-    asked: Vehicle = next(v for v in question.vehicles if v.name == vehicle.name)
+    number, asked = next((i, v) for i, v in enumerate(question.vehicles, start=1) if v.name == name)
     points = [Point(x_m=float(x), y_m=float(y), alt_amsl_m=float(z)) for x, y, z in places_m]
     changes = {
-        "sysid": vehicle.sysid,
-        "home": Place(x_m=float(vehicle.home_m[0]), y_m=float(vehicle.home_m[1])),
-        "start": asked.start if vehicle.vehicle_class == "plane" else None,  # which says where it climbs to
+        "sysid": asked.sysid or number,
+        "home": Place(x_m=float(home_m[0]), y_m=float(home_m[1])),
+        "start": asked.start if asked.vehicle_class == "plane" else None,  # which says where it climbs to
         "stops": tuple(points[:-1]),
         "goal": points[-1],
         "inspects": None,
@@ -130,8 +137,8 @@ def _alone(question: Mission, vehicle: VehiclePlan, places_m: FloatArray, end: E
     weights = question.planner.weights.model_copy(update={"inspection": 0.0})
     return question.model_copy(
         update={
-            "description": f"{question.description} (the rest of {vehicle.name}'s mission, while nobody else flies)",
-            "name": f"{question.name}_{vehicle.name}_resumed"[:_NAME_MAX],
+            "description": f"{question.description} (the rest of {name}'s mission, while nobody else flies)",
+            "name": f"{question.name}_{name}_resumed"[:_NAME_MAX],
             "vehicles": (asked.model_copy(update=changes),),
             "fleet": fleet,
             "inspection": inspection,
