@@ -71,7 +71,10 @@ _INTERVALS_S = {
     mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: 0.2,
     mavlink.MAVLINK_MSG_ID_SYS_STATUS: 1.0,
 }
-_ARDUPILOT_INTERVALS_S = {mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 1.0}
+_ARDUPILOT_INTERVALS_S = {
+    mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: 1.0,
+    mavlink.MAVLINK_MSG_ID_TERRAIN_REQUEST: 0.5,  # it asks only where it is told to
+}
 _CHECK_S = 0.5  # real time between looks at the simulators
 _RATE_OVER_S = 0.5  # real time
 _RATE_FOR_S = 3.0  # real time

@@ -80,7 +80,7 @@ _TREE_DEFAULTS = {
     "copter": ("Tools/autotest/default_params/copter.parm",),
     "plane": ("Tools/autotest/models/plane.parm", "Tools/autotest/default_params/plane.parm"),
 }
-_TERRAIN_SPACING_M = 30
+_TERRAIN_SPACING_M, _TERRAIN_BLOCKS = 30, 128
 _NUMBERS = 1000  # of ArduPilot instances that are tried
 _LEVEL_M = 1.0  # ground this even is flown over as level
 _MODELS = {"copter": ("sihsim_quadx", "10040"), "plane": ("sihsim_airplane", "10041")}
@@ -257,6 +257,7 @@ def _ardupilot(
         **{"SIM_WIND_SPD": speed_m_s, "SIM_WIND_T": 1},  # the same at all heights
         "SIM_WIND_DIR": math.degrees(math.atan2(-wind_m_s[0], -wind_m_s[1])) % 360.0,  # where it comes from
         **{"SIM_TERRAIN": int(not level), "TERRAIN_ENABLE": int(not level), "TERRAIN_SPACING": _TERRAIN_SPACING_M},
+        "TERRAIN_CACHE_SZ": _TERRAIN_BLOCKS,  # where it forgets a block, the ground leaps to the height of its home
     }
     return Instance(
         vehicle,
