@@ -79,6 +79,7 @@ _CHECK_S = 0.5  # real time between looks at the simulators
 _RATE_OVER_S = 0.5  # real time
 _RATE_FOR_S = 3.0  # real time
 _RATE_LEAST = 0.1
+_REBOOT_S = 1.0  # a time that falls back by less was sent before
 
 _HEADER = re.compile(rb"\xfd(.)(.).{2}(.)\x01([\x02\x21\x85])\x00\x00", re.DOTALL)  # from an autopilot, MAVLink 2
 _HEADER_BYTES, _CHECKSUM_BYTES = 10, 2
@@ -142,7 +143,7 @@ class SitlClock:
         """Take note of what a vehicle says of its time since boot."""
         wall_s = time.monotonic()
         mark = self._marks.get(sysid)
-        if mark is None or boot_s < mark[1]:  # booted again
+        if mark is None or boot_s < mark[1] - _REBOOT_S:
             self._marks[sysid] = wall_s, boot_s
         elif wall_s - mark[0] >= _RATE_OVER_S:
             self.now_s()  # at the rate so far
@@ -151,8 +152,8 @@ class SitlClock:
 
     def _rate(self, wall_s: float) -> float:
         fresh = [rate for rate, seen_s in self._rates.values() if wall_s - seen_s <= _RATE_FOR_S]
-        # where none is heard any more, real time is patient, and still runs into every timeout
-        usual = min(self._speedup, 1.0) if self._rates else self._speedup
+        # before they tell, and where none is heard any more: real time is patient, and still runs into every timeout
+        usual = min(self._speedup, 1.0)
         return min(max(min(fresh, default=usual), _RATE_LEAST * usual), 2.0 * self._speedup)
 
 
@@ -430,9 +431,9 @@ class SitlFleet:
                 whole.add(vehicle.plan.sysid)
 
         station.together({sysid: asking(vehicle) for sysid, vehicle in px4.items()})
-        again = {sysid: self._running.pop(sysid) for sysid in whole}
-        _signal_all(again.values(), signal.SIGKILL)
-        for process in again.values():
+        again = [self._running[sysid] for sysid in whole]
+        _signal_all(again, signal.SIGKILL)
+        for process in again:
             process.wait()
         otherwise = self._by_sysid(self._how(whole_degrees=True))
         for sysid in sorted(whole):

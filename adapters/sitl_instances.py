@@ -94,6 +94,8 @@ def sitl_programs(texts: Sequence[str]) -> Programs:
     MissionError
         An unknown autopilot, one given twice, or a program that cannot be run.
     """
+    if os.name != "posix":
+        raise MissionError("--sitl: expected Linux or macOS, where the autopilots' simulators run as they are")
     programs: dict[Kind, Path] = {}
     for text in (part.strip() for given in texts for part in given.split(",")):
         key, equals, name = text.partition("=")

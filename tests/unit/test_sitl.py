@@ -307,7 +307,7 @@ def wall(monkeypatch: pytest.MonkeyPatch) -> Wall:
 def test_the_clock_runs_as_the_slowest_vehicle_does(wall: Wall) -> None:
     clock = SitlClock(10.0, lambda: None)
     wall.pass_(1.0)
-    assert clock.now_s() == pytest.approx(10.0)  # as asked for, before anybody is heard
+    assert clock.now_s() == pytest.approx(1.0)  # real time, before anybody is heard
     for step in range(41):
         clock.heard(1, 0.1 * 10.0 * step)
         clock.heard(2, 0.1 * 4.0 * step)
@@ -349,10 +349,13 @@ def test_the_clock_never_falls_and_never_runs_away(steps: list[tuple[float, int,
 def test_waiting_takes_the_vehicles_time_and_looks_after_them(wall: Wall) -> None:
     looked: list[float] = []
     clock = SitlClock(10.0, lambda: looked.append(wall.now_s))
+    clock.heard(1, 50.0)
+    wall.pass_(1.0)
+    clock.heard(1, 60.0)
     clock.wait(2.0)
-    assert wall.now_s == pytest.approx(1000.2)
+    assert wall.now_s == pytest.approx(1001.2)
     clock.wait(1e9)
-    assert wall.now_s < 1001.0  # the simulators are looked after all the same
+    assert wall.now_s < 1002.0  # the simulators are looked after all the same
     assert len(looked) == 2
 
 
