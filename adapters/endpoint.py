@@ -28,7 +28,7 @@ _DATAGRAM_MAX = 65_535
 _PEERS_MAX = 1_024
 _UNREAD_MAX = 1 << 20  # a TCP client that has not read this much is taken for dead
 _TCP_CONNECT_TIMEOUT_S = 5.0
-_TCP_RETRY_S = 1.0
+_RETRY_S = 1.0
 _DEFAULT_PORT: dict[Kind, int] = {"udpin": 14550, "udpout": 14550, "tcpin": 5760, "tcpout": 5760, "serial": 0}
 _DEFAULT_BAUD = 57_600
 _SCHEMES: dict[str, Kind] = {
@@ -319,7 +319,7 @@ class TcpClient:
         """Return what the server sent; try, about once a second, to get a broken connection back."""
         data = self._stream.receive() if self._stream.open else b""
         if not self._stream.open and not self._closed and time.monotonic() >= self._retry_s:
-            self._retry_s = time.monotonic() + _TCP_RETRY_S
+            self._retry_s = time.monotonic() + _RETRY_S
             connection = socket.socket(self._family, socket.SOCK_STREAM)
             connection.setblocking(False)
             # in progress at best: reading fails, and closes it again, should it come to nothing
@@ -345,7 +345,7 @@ class TcpClient:
 
 
 class SerialEndpoint:
-    """A serial line: a telemetry radio or a USB cable."""
+    """A serial line: a telemetry radio or a USB cable, opened anew when it was pulled out and comes back."""
 
     def __init__(self, address: Address) -> None:
         self._address = address
@@ -356,6 +356,8 @@ class SerialEndpoint:
                 f"{address}: expected a serial device that can be opened, got: {error}; "
                 "check the cable, the name and your permission to use it"
             ) from error
+        self._closed = False
+        self._retry_s = 0.0
 
     @property
     def url(self) -> str:
@@ -363,11 +365,15 @@ class SerialEndpoint:
         return str(self._address)
 
     def receive(self) -> list[tuple[bytes, Peer]]:
-        """Return the bytes that wait; nothing once the device is gone."""
+        """Return the bytes that wait; nothing while the device is gone, which is tried about once a second."""
+        if not (self._port.is_open or self._closed) and time.monotonic() >= self._retry_s:
+            self._retry_s = time.monotonic() + _RETRY_S
+            with contextlib.suppress(serial.SerialException, OSError):
+                self._port.open()
         try:
             data = self._port.read(_DATAGRAM_MAX) if self._port.is_open else b""
         except (serial.SerialException, OSError):
-            self.close()
+            self._port.close()
             data = b""
         return [(data, self._address.host)] if data else []
 
@@ -385,7 +391,8 @@ class SerialEndpoint:
             return []
 
     def close(self) -> None:
-        """Close the device."""
+        """Close the device for good."""
+        self._closed = True
         self._port.close()
 
 

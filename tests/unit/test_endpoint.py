@@ -6,10 +6,11 @@ import os
 import select
 import socket
 import time
+from pathlib import Path
 
 import pytest
 
-from adapters.endpoint import Address, Endpoint, in_process_pair, open_endpoint, parse_url
+from adapters.endpoint import Address, Endpoint, SerialEndpoint, in_process_pair, open_endpoint, parse_url
 from missionplanner.errors import LinkError
 
 
@@ -224,6 +225,39 @@ def test_serial_line_both_ways() -> None:
         line.close()
         os.close(master)
         os.close(slave)
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this system")
+def test_a_serial_device_that_comes_back_is_used_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("adapters.endpoint._RETRY_S", 0.0)
+    device = tmp_path / "ttyUSB0"
+    lines = [os.openpty(), os.openpty()]
+    device.symlink_to(os.ttyname(lines[0][1]))
+    try:
+        line = SerialEndpoint(Address("serial", str(device)))
+    except LinkError:
+        pytest.skip("this system's pseudo-terminals cannot be opened as serial lines")
+    try:
+        os.write(lines[0][0], b"before")
+        assert b"".join(_receive(line, 6)) == b"before"
+        device.unlink()
+        for descriptor in lines[0]:
+            os.close(descriptor)
+        for _ in range(3):  # it is gone, and nobody minds
+            assert line.receive() == []
+            line.send(b"lost")
+        assert line.filenos() == []
+        device.symlink_to(os.ttyname(lines[1][1]))
+        assert line.receive() == []
+        os.write(lines[1][0], b"after")
+        assert b"".join(_receive(line, 5)) == b"after"
+        line.close()
+        assert line.receive() == []
+        assert line.filenos() == []
+    finally:
+        line.close()
+        for descriptor in lines[1]:
+            os.close(descriptor)
 
 
 def test_ever_new_senders_do_not_crowd_out_who_still_speaks() -> None:
