@@ -13,7 +13,10 @@ The rules (https://mavlink.io/en/services/mission.html, and what real autopilots
 5. ArduPilot answers INVALID_SEQUENCE to an item that comes twice and goes on; it answers ERROR to one that comes after
    it has accepted the mission. Then its ACK was lost: the upload ends unconfirmed and the read-back decides; so it does
    when nothing more is heard once the last item was sent.
-6. An upload is believed when it reads back as sent, see :func:`mismatches`; not before.
+6. Download: a vehicle that gives items in any order (ArduPilot) is asked for several at once. PX4 gives them in order, and
+   ends the download at any request but the next or the last one: after one had to be repeated, its copies that are still
+   under way are given the time to arrive.
+7. An upload is believed when it reads back as sent, see :func:`mismatches`; not before.
 """
 
 from __future__ import annotations
@@ -50,6 +53,7 @@ class Timing:
     answer_s: float = 1.5  # for the answer to a COUNT or REQUEST_LIST, as the specification says
     item_s: float = 0.25  # least wait for an item or for a request after one, likewise
     item_max_s: float = 3.0  # the wait grows with the round trips measured, up to this
+    straggle_max_s: float = 1.0  # for copies of a request to arrive before the next is sent
     retries: int = 10  # of a COUNT or REQUEST_LIST; the specification's 5 lose 7 % of first contacts at 40 % loss
     item_retries: int = 20
     busy_s: float = 1.0  # before asking a busy vehicle again
@@ -111,6 +115,12 @@ class _Patience:
                 self._deviation_s += (abs(trip_s - self._mean_s) - self._deviation_s) / 4
                 self._mean_s += (trip_s - self._mean_s) / 8
 
+    def straggle_s(self) -> float:
+        """Return how much later than the answered copy of what was repeated another copy may arrive; 0: none does."""
+        if self._repeats == 0:
+            return 0.0
+        return min(max(4 * self._deviation_s, self._timing.item_s), self._timing.straggle_max_s)
+
     def _item_wait_s(self) -> float:
         if self._mean_s is None:
             return 2 * self._timing.item_s
@@ -163,6 +173,7 @@ class MissionUpload:
         self._phase: Literal["idle", "counting", "sending"] = "idle"
         self._attempt = 0
         self._busy = 0
+        self._errors = 0  # since it asked last
         self._last: int | None = None  # the item sent last, in this attempt
         self._last_item_sent = False
         self._asked: set[int] = set()  # since the vehicle began
@@ -235,6 +246,7 @@ class MissionUpload:
             self._asked.add(message.seq)
             self._progress_s = now_s
         self._phase = "sending"
+        self._errors = 0
         self.sent = max(self.sent, message.seq)
         return [self._item(message.seq, now_s, again=False)]
 
@@ -243,6 +255,7 @@ class MissionUpload:
         self._phase = "counting"
         self._last = None
         self._last_item_sent = False
+        self._errors = 0
         self._asked.clear()
         return [self._count(now_s, again=False)]
 
@@ -270,6 +283,10 @@ class MissionUpload:
             case mavlink.MAV_MISSION_ERROR if self._autopilot == "ardupilot" and self._last_item_sent:
                 self._finish(confirmed=False)
                 return []
+            case mavlink.MAV_MISSION_ERROR if self._phase == "sending":
+                # one may be about a doubled COUNT; two, and it knows of no upload: it has restarted, or has given up
+                self._errors += 1
+                return self._again(now_s, "an upload that it knows nothing of") if self._errors > 1 else []
             case mavlink.MAV_MISSION_NO_SPACE | mavlink.MAV_MISSION_ERROR:
                 return self._wait_while_busy(result, now_s)
             case mavlink.MAV_MISSION_OPERATION_CANCELLED | mavlink.MAV_MISSION_INVALID_SEQUENCE:
@@ -336,30 +353,37 @@ class MissionUpload:
 
 
 class MissionDownload:
-    """The mission that one vehicle holds. Feed it all messages and poll it; then read ``items``."""
+    """The mission that one vehicle holds. Feed it all messages and poll it; then read ``items``.
+
+    ``ahead`` is how many items are asked for at once: 1 where they are only given in order.
+    """
 
     def __init__(
         self,
         party: Party,
         *,
         mission_type: int = mavlink.MAV_MISSION_TYPE_MISSION,
+        ahead: int = 1,
         timing: Timing | None = None,
     ) -> None:
         self.total: int | None = None
         self.done = False
-        self._items: list[MissionItem] = []
+        self._items: dict[int, MissionItem] = {}
+        self._asked: set[int] = set()
         self._party = party
         self._mission_type = mission_type
+        self._ahead = ahead
         self._timing = timing or Timing()
         self._patience = _Patience(self._timing)
         self._phase: Literal["idle", "listing", "reading"] = "idle"
         self._attempt = 0
         self._busy = 0
+        self._next_s = -math.inf  # before then, nothing more is asked for
 
     @property
     def items(self) -> tuple[MissionItem, ...]:
-        """The items read so far; all of them once ``done``."""
-        return tuple(self._items)
+        """The items read so far, in order; all of them once ``done``."""
+        return tuple(self._items[seq] for seq in sorted(self._items))
 
     def poll(self, now_s: float) -> list[Message]:
         """Start at the first call, then ask again when the vehicle has been silent too long.
@@ -371,7 +395,11 @@ class MissionDownload:
         """
         if self._phase == "idle":
             return self._begin(now_s)
-        if self.done or now_s < self._patience.due_s:
+        if self.done:
+            return []
+        if self._phase == "reading" and not self._asked and now_s >= self._next_s:
+            return self._ask(now_s)
+        if now_s < self._patience.due_s:
             return []
         if self._phase == "listing":
             if self._patience.exhausted(self._timing.retries):
@@ -380,7 +408,7 @@ class MissionDownload:
             return [self._list(now_s, again=True)]
         if self._patience.exhausted(self._timing.item_retries):
             return self._again(now_s, "silence")
-        return [self._request(now_s, again=True)]
+        return [self._request(seq, now_s, again=True) for seq in sorted(self._asked)]
 
     def receive(self, message: Message, now_s: float) -> list[Message]:
         """Take one message from anywhere and return what to answer.
@@ -402,16 +430,19 @@ class MissionDownload:
             return self._refused(message.type, now_s)
         if kind == "MISSION_COUNT":
             return self._counted(message.count, now_s)
-        if self._phase != "reading" or message.seq != len(self._items):
+        if self._phase != "reading" or message.seq not in self._asked:
             return []
+        self._asked.discard(message.seq)
+        self._next_s = now_s + (self._patience.straggle_s() if self._ahead == 1 else 0.0)
         self._patience.answered(now_s)
-        self._items.append(message_item(message))
+        self._items[message.seq] = message_item(message)
         return self._next(now_s)
 
     def _begin(self, now_s: float) -> list[Message]:
         self._attempt += 1
         self._phase = "listing"
         self._items.clear()
+        self._asked.clear()
         self.total = None
         return [self._list(now_s, again=False)]
 
@@ -421,16 +452,27 @@ class MissionDownload:
             self._party.sysid, AUTOPILOT_COMPONENT, mission_type=self._mission_type
         )
 
-    def _request(self, now_s: float, *, again: bool) -> Message:
-        self._patience.sent(now_s, again=again)
+    def _ask(self, now_s: float) -> list[Message]:
+        """Ask for the first items that are neither read nor asked for, as many as may be under way."""
+        assert self.total is not None
+        free = self._ahead - len(self._asked)
+        last = max([*self._items, *self._asked], default=-1)
+        more = list(range(last + 1, min(last + 1 + free, self.total)))
+        self._asked.update(more)
+        return [self._request(seq, now_s, again=False) for seq in more]
+
+    def _request(self, seq: int, now_s: float, *, again: bool) -> Message:
+        if not again or seq == min(self._asked):  # several that are repeated at once are one repetition
+            self._patience.sent(now_s, again=again)
         return mavlink.MAVLink_mission_request_int_message(
-            self._party.sysid, AUTOPILOT_COMPONENT, len(self._items), mission_type=self._mission_type
+            self._party.sysid, AUTOPILOT_COMPONENT, seq, mission_type=self._mission_type
         )
 
     def _counted(self, count: int, now_s: float) -> list[Message]:
         if self._phase == "listing":
             self._patience.answered(now_s)
             self._phase = "reading"
+            self._next_s = now_s
             self.total = count
             return self._next(now_s)
         if count != self.total:
@@ -439,7 +481,7 @@ class MissionDownload:
 
     def _next(self, now_s: float) -> list[Message]:
         if len(self._items) != self.total:
-            return [self._request(now_s, again=False)]
+            return self._ask(now_s) if now_s >= self._next_s else []
         self.done = True
         return [
             mavlink.MAVLink_mission_ack_message(
