@@ -67,9 +67,9 @@ _STANDS_S = 10.0  # from an answer to standing still
 _STANDS_M_S = 0.5
 _ORDER_S = 5.0  # for an answer to an order
 
-_NOT_PROVEN = (
-    "who stands keeps clear of ground and obstacles as proven, but that the fleet keeps apart and arrives together was "
-    "proven for the planned times only: it is watched from now on, not proven"
+NOT_PROVEN = (
+    "that the fleet keeps apart, also when it returns, and arrives together was proven for the planned times only: from "
+    "now on it is watched, not proven"
 )
 _CUSTOM_MODE = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _MESSAGE_INTERVALS_S = {
@@ -393,7 +393,7 @@ class FlightControl:
                 for outcome in outcomes:
                     self._say(outcome.words, tell)
                 if any(outcome.order == "pause" and outcome.result == "obeyed" for outcome in outcomes):
-                    self._say(_NOT_PROVEN, tell)
+                    self._say(NOT_PROVEN, tell)
                 helm.answer(outcomes)
         elif (request := helm.request()) is not None:
             self._give(request)
@@ -503,7 +503,13 @@ class FlightControl:
             return "refused", f"was told to pause, and {refusal}"
         if vehicle.plan.vehicle_class == "plane":
             return "obeyed", f"circles, {vehicle.where}: its circle is not proven to be clear"
-        return "obeyed", f"holds, {vehicle.where}"
+        end_s = self._clock.now_s() + _STANDS_S
+        while vehicle.speed_m_s > _STANDS_M_S and self._clock.now_s() < end_s:
+            yield
+        off_m = vehicle.off_way_m()
+        if off_m > self._home_tolerance_m:
+            return "obeyed", f"holds, {vehicle.where}, {off_m:.0f} m off its leg: not proven to be clear there"
+        return "obeyed", f"holds on its way, {vehicle.where}"
 
     def _resuming(self, vehicle: FleetVehicle) -> Waiting[tuple[OrderResult, str]]:
         """Let a vehicle go on to the item that it was flying to, at the speed that its mission has set for it.

@@ -603,7 +603,7 @@ def _transfer(
     from adapters.certificates import certify, held_by_vehicles
 
     _compare_parameters(link, unproven=unproven)
-    with progress_bars() as progress:
+    with _said_when_interrupted(), progress_bars() as progress:
         link.upload(_transfer_bars(progress, "uploading"), via=via)
         link.verify(_transfer_bars(progress, "verifying"))
         certificate = certify(scene, held_by_vehicles(fleet_plan, link.held), arrival_s=fleet_plan.arrival_s)
@@ -618,6 +618,15 @@ def _transfer(
         _warn(remark)
     for change in changes:
         _warn(f"{change.vehicle}: set {change.name} from {change.before:g} to {change.after:g}; it keeps that")
+
+
+@contextmanager
+def _said_when_interrupted() -> Iterator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        _warn("nothing was armed; vehicles may hold parts of missions: upload again before anybody flies them")
+        raise
 
 
 def _compare_parameters(link: FleetLink, *, unproven: bool) -> None:
@@ -695,7 +704,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Tell a flying fleet to pause, resume, return (rtl) or land; exit code 4 where one did not obey."""
-    from adapters.fleet_flight import Request
+    from adapters.fleet_flight import NOT_PROVEN, Request
     from adapters.order_box import give_order
     from missionplanner.flight_console import ORDERS_FOLDER
 
@@ -710,6 +719,8 @@ def command(
     else:
         for outcome in outcomes:
             stdout.print(outcome.words, soft_wrap=True, highlight=False, markup=False)
+    if any(outcome.result == "obeyed" for outcome in outcomes) and order == "pause":
+        _warn(NOT_PROVEN)
     failed = [outcome.vehicle for outcome in outcomes if outcome.result in ("refused", "silent")]
     if failed:
         _warn(f"{order}: expected all to obey, {', '.join(failed)} did not: take over by hand")
