@@ -270,7 +270,7 @@ def _ardupilot(
             *("--speedup", f"{speedup:g}", "--defaults", str(folder / DEFAULTS)),
             *("-I", str(number), "--sysid", str(vehicle.sysid)),
         ),
-        {},
+        {"SITL_PANIC_EXIT": "1"},  # else it lingers after what it cannot go on from
         f"tcp:127.0.0.1:{5760 + 10 * number}",
         _ardupilot_ports(number),
         defaults,

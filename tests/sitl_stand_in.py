@@ -49,6 +49,7 @@ def main(program: str, arguments: Sequence[str]) -> None:
 
 
 def _ardupilot(program: str, arguments: Sequence[str]) -> None:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # as some releases have it
     options = _ardupilot_options(arguments)
     if "help" in options:
         _fail("Options:", 0)
@@ -118,12 +119,19 @@ def _defaults(paths: str) -> dict[str, float]:
     values: dict[str, float] = {}
     for path in filter(None, paths.split(",")):
         if not Path(path).is_file():
-            print(f"PANIC: Failed to load defaults from {path}")
-            os.kill(os.getpid(), signal.SIGABRT)
+            _panic(f"Failed to load defaults from {path}")
         for line in Path(path).read_text().splitlines():
             name, value = line.partition("#")[0].replace(",", " ").replace("\t", " ").split()
             values[name] = float(value)
     return values
+
+
+def _panic(text: str) -> None:
+    print(f"PANIC: {text}")
+    if "SITL_PANIC_EXIT" in os.environ:
+        sys.exit(1)
+    while True:  # the real one does not let go of its processor either
+        time.sleep(1.0)
 
 
 def _px4(arguments: Sequence[str]) -> None:
@@ -217,7 +225,9 @@ def _fly(kind: Kind, sysid: int, home: GeoPoint, parameters: Mapping[str, Any], 
         if crash_sysid != str(sysid) or fleet.now_s < float(crash_s):
             return False
         print("ERROR: Floating point exception - aborting")
-        os.kill(os.getpid(), signal.SIGABRT)
+        if autopilot == "px4":
+            os.kill(os.getpid(), signal.SIGABRT)
+        _panic("floating point exception")
         return True
 
     serve(fleet, speedup, crashes)

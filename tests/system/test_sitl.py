@@ -137,9 +137,12 @@ def test_when_one_crashes_it_is_told_and_nothing_is_left(
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("STAND_IN_CRASH", f"2:{crash_s}")
         done = cli("fly", tmp_path / "plan", "--sitl", programs["arducopter"], "--speedup", SPEEDUP, "--json")
-    expect_refusal(
-        done, 4, "bravo: its simulator was killed by SIGABRT", "Floating point exception", "bravo/sitl.log", "stopped"
-    )
+    assert done.code == 4
+    last = done.err.splitlines()[-1]  # of what was told of the flight
+    assert last.startswith("missionplanner: bravo: its simulator ended with exit code 1")
+    for part in ("Floating point exception", "bravo/sitl.log", "all others were stopped"):
+        assert part in last
+    assert done.json == {"error": {"message": last.removeprefix("missionplanner: "), "exit_code": 4}}
     assert running(tmp_path / "plan") == []
 
 

@@ -148,6 +148,7 @@ def test_an_arducopter_is_started_as_its_command_line_wants_it(programs: Program
     assert (copter.url, plane.url) == ("tcp:127.0.0.1:5760", "tcp:127.0.0.1:5770")
     assert plane.ports == (("tcp", 5770), ("tcp", 5772), ("tcp", 5773), ("udp", 5511))
     assert copter.folder != plane.folder
+    assert copter.environment == {"SITL_PANIC_EXIT": "1"}
 
 
 @given(x_m=st.floats(-5e3, 5e3), y_m=st.floats(-5e3, 5e3), alt_m=st.floats(-400, 5e3))
