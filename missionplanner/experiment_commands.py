@@ -157,6 +157,35 @@ def scale(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json: 
 
 
 @app.command()
+def links(
+    output: Output = None,
+    runs: Annotated[int, typer.Option(min=1, help="uploads per autopilot and link")] = 200,
+    frames: Annotated[int, typer.Option(min=1, help="mutated ones, to vehicles and to the ground station")] = 1_000_000,
+    seed: Seed = 1,
+    quick: Quick = False,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    as_json: AsJson = False,
+) -> None:
+    """Measure uploads over bad links (beside MAVSDK's where that is installed), loads, and mutated frames."""
+    from missionplanner.experiments import links as experiment
+
+    def measure(folder: Path, show: Show) -> dict[str, Any]:
+        return experiment.main(
+            folder,
+            runs=runs,
+            frames=frames,
+            seed=seed,
+            quick=quick,
+            workers=workers,
+            cluster=cluster,
+            progress=show,
+        )
+
+    run("links", output, as_json, measure)
+
+
+@app.command()
 def table2(
     output: Output = None,
     runs: Annotated[int, typer.Option(min=1, help="of every algorithm on every function")] = 51,
