@@ -221,10 +221,10 @@ def _restoring(
             continue
         changed.append(what_is_sent(kind))
         yield from station.uploading(peer, saved.autopilot, wanted, tell, kind)
-        held = yield from station.downloading(peer, mission_type=kind)
-        wrong = _differing(peer, wanted, held, kind)
-        if wrong:
-            raise peer.error(f"holds another {what_is_sent(kind)} than was saved: {wrong[0]}")
+        if wanted:
+            yield from station.reading_back(peer, saved.autopilot, wanted, mission_type=kind)
+        elif _differing(peer, wanted, (held := (yield from station.downloading(peer, mission_type=kind))), kind):
+            raise peer.error(f"still holds a {what_is_sent(kind)} of {len(held)} items, where it held none")
     sent[saved.sysid] = tuple(changed)
 
 

@@ -14,7 +14,6 @@ from typing import Any, Literal
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.backup import Saved, saving
-from adapters.command_protocol import command_name
 from adapters.endpoint import Endpoint
 from adapters.fleet_flight import FlightControl, ReadyProgress, WatchProgress
 from adapters.fleet_vehicle import FleetVehicle, Order, VehicleStatus
@@ -207,9 +206,7 @@ class FleetLink(FlightControl):
         def tell(done: int, _total: int | None) -> None:
             _tell(progress, vehicle, done, len(vehicle.items))
 
-        held = yield from self._station.downloading(vehicle, tell)
-        _expect_same(vehicle, vehicle.items, held, mavlink.MAV_MISSION_TYPE_MISSION)
-        vehicle.held = held
+        vehicle.held = yield from self._station.reading_back(vehicle, vehicle.plan.autopilot, vehicle.items, tell)
 
     def _guarding(self, vehicle: FleetVehicle, progress: TransferProgress | None, told: list[str]) -> Steps:
         told += vehicle.guard.kept_back
@@ -237,8 +234,7 @@ class FleetLink(FlightControl):
                     _tell(progress, vehicle, done, total)
 
                 yield from self._station.uploading(vehicle, autopilot, wanted, tell, kind)
-                held = yield from self._station.downloading(vehicle, mission_type=kind)
-                _expect_same(vehicle, wanted, held, kind)
+                yield from self._station.reading_back(vehicle, autopilot, wanted, mission_type=kind)
         read = yield from self._station.reading_many(vehicle, autopilot, fence_limits(autopilot))
         values = {parameter.name: parameter.value for parameter in read if parameter is not None}
         reason = limit_breach(values, self._plan, vehicle.plan)
@@ -394,17 +390,3 @@ def _finding(
 def _tell(progress: TransferProgress | None, vehicle: FleetVehicle, done: int, total: int) -> None:
     if progress is not None:
         progress(vehicle.plan.name, done, total)
-
-
-def _expect_same(
-    vehicle: FleetVehicle, sent: Sequence[MissionItem], held: Sequence[MissionItem], mission_type: int
-) -> None:
-    wrong = vehicle.differing(sent, held, mission_type)
-    if wrong:
-        more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
-        first = f"{wrong[0]}{_command_at(sent, wrong[0].seq)}"
-        raise vehicle.error(f"holds another {what_is_sent(mission_type)} than was sent: {first}{more}; upload it again")
-
-
-def _command_at(items: Sequence[MissionItem], seq: int) -> str:
-    return f" ({command_name(items[seq].command)})" if seq < len(items) else ""

@@ -13,7 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar, cast
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.command_protocol import Command
+from adapters.command_protocol import Command, command_name
 from adapters.endpoint import Endpoint
 from adapters.mission_items import MissionItem
 from adapters.mission_protocol import Mismatch, MissionDownload, MissionUpload, Party, mismatches, what_is_sent
@@ -67,7 +67,10 @@ class WallClock:
 
 WAIT_S = 0.05
 _SIGNED = 0x01  # of a header's incompat_flags
-_UPLOADS = 3  # of what may have been taken, but reads back otherwise
+_UPLOADS = 3  # of what was not confirmed, and reads back otherwise
+_READ_AHEAD = 5  # items of ArduPilot asked for at once, as MAVProxy does
+_VERSIONS_LOST = 12  # at most, though they were promised
+_IDENTIFY_S = 15.0  # for an answer: 40 % of loss each way leave one in 10,000 unanswered
 _SETBACK_MS = 5_000  # no link holds a message for so long while it lets later ones through
 _TWO = "give each vehicle its own sysid (ArduPilot SYSID_THISMAV, PX4 MAV_SYS_ID)"
 LISTEN_S = 2.5  # two heartbeats: long enough to hear a second vehicle with the same sysid
@@ -94,6 +97,7 @@ class Peer:
         self.download: MissionDownload | None = None
         self.command: Command | None = None
         self.parameter: ParameterRead | ParametersRead | ParameterList | ParameterSet | None = None
+        self.told_version = False
         self.unique_ids: set[str] = set()  # as it has told, in hexadecimal digits
         self._refusal: LinkError | None = None
         self._boot_ms = 0
@@ -147,6 +151,7 @@ class Peer:
         if message.get_type() == "HEARTBEAT":
             self.heartbeat = message
         if message.get_type() == "AUTOPILOT_VERSION":
+            self.told_version = True
             self.unique_ids |= _unique_ids(message)
         boot_ms = getattr(message, "time_boot_ms", None)
         if boot_ms is not None:
@@ -325,16 +330,20 @@ class Station(Generic[AnyPeer]):
 
     def identifying(self, peer: Peer) -> Steps:
         """Ask for its unique id, as either of two generations of firmware has to be asked; it may have none."""
-        for number, param in (
-            (mavlink.MAV_CMD_REQUEST_MESSAGE, float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)),
-            (mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1.0),
-        ):
-            result = yield from self.commanding(peer, number, param)
-            if result == mavlink.MAV_RESULT_ACCEPTED:
-                break
-        end_s = self.clock.now_s() + VERSION_S
-        while self.clock.now_s() < end_s:  # to the end: a second autopilot may answer too
-            yield
+        wanted, generation = float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION), 0
+        asks = ((mavlink.MAV_CMD_REQUEST_MESSAGE, wanted), (mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1.0))
+        for _ in range(_VERSIONS_LOST):
+            number, param = asks[generation]
+            result = yield from self.commanding(peer, number, param, patience_s=_IDENTIFY_S)
+            end_s = self.clock.now_s() + VERSION_S
+            while self.clock.now_s() < end_s:  # to the end: a second autopilot may answer too
+                yield
+            if peer.told_version:
+                return
+            if result != mavlink.MAV_RESULT_ACCEPTED:
+                generation += 1
+            if generation == len(asks):
+                return
 
     def uploading(
         self,
@@ -344,34 +353,54 @@ class Station(Generic[AnyPeer]):
         tell: Callable[[int, int], None] = lambda done, total: None,
         mission_type: int = mavlink.MAV_MISSION_TYPE_MISSION,
     ) -> Steps:
-        """Give it a mission, fence or rally points; where only its last answer is missing, it is asked what it holds.
+        """Give it a mission, fence or rally points; what came of it, :meth:`reading_back` tells.
 
         Raises
         ------
         LinkError
-            It refuses, falls silent, or never takes all of it.
+            It refuses, or falls silent.
         """
-        for _ in range(_UPLOADS):
-            upload = MissionUpload(peer.party, autopilot, items, mission_type=mission_type)
-            peer.uploads[mission_type] = upload
-            shown = -1
-            while not upload.done or upload.sent != shown:
-                if upload.sent != shown:
-                    shown = upload.sent
-                    tell(shown, upload.total)
-                self.send(peer, upload.poll(self.clock.now_s()))
-                yield
-                peer.check_transfer()
-            if upload.confirmed:
-                return
-            held = yield from self.downloading(peer, mission_type=mission_type)
+        upload = MissionUpload(peer.party, autopilot, items, mission_type=mission_type)
+        peer.uploads[mission_type] = upload
+        shown = -1
+        while not upload.done or upload.sent != shown:
+            if upload.sent != shown:
+                shown = upload.sent
+                tell(shown, upload.total)
+            self.send(peer, upload.poll(self.clock.now_s()))
+            yield
+            peer.check_transfer()
+
+    def reading_back(
+        self,
+        peer: Peer,
+        autopilot: Autopilot,
+        items: Sequence[MissionItem],
+        tell: Callable[[int, int | None], None] = lambda done, total: None,
+        mission_type: int = mavlink.MAV_MISSION_TYPE_MISSION,
+    ) -> Waiting[tuple[MissionItem, ...]]:
+        """Read what it holds of what was sent; if it never confirmed that, and holds otherwise, send it once more.
+
+        Raises
+        ------
+        LinkError
+            It refuses, falls silent, or holds something else.
+        """
+        for attempt in range(1, _UPLOADS + 1):
+            held = yield from self.downloading(peer, tell, mission_type)
             wrong = peer.differing(items, held, mission_type)
-            if not wrong:
-                return
-        raise peer.error(
-            f"never confirmed the {what_is_sent(mission_type)}, and holds another: {wrong[0]}; check the link, and "
-            "upload again"
-        )
+            upload = peer.uploads.get(mission_type)
+            if wrong and upload is not None and not upload.confirmed and attempt < _UPLOADS:
+                yield from self.uploading(peer, autopilot, items, mission_type=mission_type)
+            else:
+                break
+        if wrong:
+            more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
+            seq = wrong[0].seq
+            command = f" ({command_name(items[seq].command)})" if seq < len(items) else ""
+            what = what_is_sent(mission_type)
+            raise peer.error(f"holds another {what} than was sent: {wrong[0]}{command}{more}; upload it again")
+        return held
 
     def downloading(
         self,
@@ -380,7 +409,8 @@ class Station(Generic[AnyPeer]):
         mission_type: int = mavlink.MAV_MISSION_TYPE_MISSION,
     ) -> Waiting[tuple[MissionItem, ...]]:
         """Read its mission, fence or rally points; ``tell`` hears of the items read and, once known, their count."""
-        download = MissionDownload(peer.party, mission_type=mission_type)
+        ahead = _READ_AHEAD if peer.autopilot == "ardupilot" else 1
+        download = MissionDownload(peer.party, mission_type=mission_type, ahead=ahead)
         peer.download = download
         shown = -1
         while not download.done:

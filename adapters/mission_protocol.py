@@ -13,9 +13,9 @@ The rules (https://mavlink.io/en/services/mission.html, and what real autopilots
 5. ArduPilot answers INVALID_SEQUENCE to an item that comes twice and goes on; it answers ERROR to one that comes after
    it has accepted the mission. Then its ACK was lost: the upload ends unconfirmed and the read-back decides; so it does
    when nothing more is heard once the last item was sent.
-6. Download: a vehicle that gives items in any order (ArduPilot) is asked for several at once. PX4 gives them in order, and
-   ends the download at any request but the next or the last one: after one had to be repeated, its copies that are still
-   under way are given the time to arrive.
+6. Download: a vehicle that gives items in any order (ArduPilot) is asked for several at once. PX4 gives them in order,
+   and ends the download at any request but the next or the last one: after one had to be repeated, its copies that are
+   still under way are given the time to arrive.
 7. An upload is believed when it reads back as sent, see :func:`mismatches`; not before.
 """
 
@@ -37,6 +37,7 @@ from adapters.mission_items import (
     TAKEOFF,
     WAYPOINT,
     MissionItem,
+    float32_text,
 )
 from missionplanner.errors import LinkError
 from missionplanner.vehicle import Autopilot, VehicleClass
@@ -571,7 +572,8 @@ class Mismatch:
     read: float
 
     def __str__(self) -> str:
-        return f"item {self.seq}: {self.field}: sent {self.sent:g}, the vehicle holds {self.read:g}"
+        sent, read = (str(value) if isinstance(value, int) else float32_text(value) for value in (self.sent, self.read))
+        return f"item {self.seq}: {self.field}: sent {sent}, the vehicle holds {read}"
 
 
 # The superseded *_INT frames mean the same as these.

@@ -385,7 +385,8 @@ def test_a_mission_that_is_never_confirmed_and_reads_back_otherwise_is_refused()
 
     rig.pipes[0].down = changed
     with pytest.raises(
-        LinkError, match=r"uav1 .*never confirmed the mission, and holds another: item 3: x: sent .*; check"
+        LinkError,
+        match=r"uav1 .*holds another mission than was sent: item 3: x: sent 343603606, the vehicle holds 343603607 ",
     ):
         rig.upload()
 
