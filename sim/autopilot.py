@@ -312,7 +312,15 @@ class Autopilot:
         return int(mavlink.MAV_RESULT_ACCEPTED)
 
     def change_speed(self, kind: float, speed_m_s: float) -> int:
-        """Obey DO_CHANGE_SPEED at once, for the leg being flown too, until an item of the mission changes it again."""
+        """Obey DO_CHANGE_SPEED at once, for the leg being flown too, until an item of the mission changes it again.
+
+        ArduPilot does so in the modes that fly somewhere only, and tells of a speed that it does not take.
+        """
+        if self.personality.autopilot == "ardupilot":
+            takes = self.mode.behaviour in (Behaviour.AUTO, Behaviour.GUIDED)
+            horizontal = kind in (mavlink.SPEED_TYPE_AIRSPEED, mavlink.SPEED_TYPE_GROUNDSPEED)
+            if not takes or speed_m_s <= 0.0 or (horizontal and not self._may_fly_at(speed_m_s)):
+                return int(mavlink.MAV_RESULT_FAILED)
         before = self._speed_m_s
         self._note_speed(kind, speed_m_s)
         if self._speed_m_s != before and self._stage is not None and self._stage.doing is _Doing.LEGS:

@@ -283,6 +283,8 @@ def _stored_by_ardupilot(item: MissionItem) -> MissionItem:
     if item.command == mavlink.MAV_CMD_NAV_RALLY_POINT:
         whole_m = float(int(item.z))  # of heights above home, in 16 bits
         return MissionItem(item.seq, mavlink.MAV_FRAME_GLOBAL_RELATIVE_ALT, item.command, x=item.x, y=item.y, z=whole_m)
+    if item.command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:  # nothing of it is stored
+        return MissionItem(item.seq, mavlink.MAV_FRAME_GLOBAL, item.command, current=item.current)
     if item.command not in _POSITIONED:
         kept = item if item.command not in (mavlink.MAV_CMD_DO_CHANGE_SPEED,) else replace(item, param4=0.0)
         return replace(kept, frame=mavlink.MAV_FRAME_GLOBAL, x=0, y=0, z=0.0)

@@ -462,9 +462,10 @@ class VehicleLink:
 
     def _do_change_speed(self, command: _Command, now_s: float, replies: list[Any]) -> int:
         del now_s, replies
-        if not all(map(math.isfinite, command.params[:2])):
-            return _DENIED
-        return self.autopilot.change_speed(command.params[0], command.params[1])
+        kind, speed_m_s = command.params[:2]
+        if not all(map(math.isfinite, (kind, speed_m_s))):
+            return _FAILED if self.autopilot.personality.autopilot == "ardupilot" else _DENIED
+        return self.autopilot.change_speed(kind, speed_m_s)
 
     def _do_set_home(self, command: _Command, now_s: float, replies: list[Any]) -> int:
         del now_s, replies

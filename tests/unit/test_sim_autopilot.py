@@ -182,8 +182,8 @@ def test_commanded_speed_is_flown() -> None:
 
 def test_ardupilot_ignores_speeds_that_are_not_speeds() -> None:
     ground = flying("ardupilot")
-    for value in (0.0, -1.0, 0.1):
-        assert ground.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, value, -1) == ACCEPTED
+    for value, result in ((0.0, FAILED), (-1.0, FAILED), (0.1, ACCEPTED)):
+        assert ground.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 1, value, -1) == result
     assert ground.autopilot.speed_m_s == 8.0
 
 
@@ -471,7 +471,9 @@ def test_uploading_the_same_mission_in_flight_disturbs_nothing() -> None:
 @pytest.mark.parametrize(("speed_m_s", "flown_m_s"), [(18.0, 18.0), (35.0, 22.0), (5.0, 22.0)])
 def test_arduplane_ignores_speeds_outside_its_limits(speed_m_s: float, flown_m_s: float) -> None:
     ground = Ground("ardupilot", "plane")
-    assert ground.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 0, speed_m_s, -1) == ACCEPTED
+    ground.mode("GUIDED")
+    expected = ACCEPTED if speed_m_s == flown_m_s else FAILED
+    assert ground.command(mavlink.MAV_CMD_DO_CHANGE_SPEED, 0, speed_m_s, -1) == expected
     assert ground.autopilot.speed_m_s == flown_m_s
 
 

@@ -259,7 +259,7 @@ DENIED, FAILED, UNSUPPORTED = (
         ((mavlink.MAV_CMD_DO_SET_SERVO, 9.0, 1500.0), ACCEPTED, UNSUPPORTED),
         ((31_999,), UNSUPPORTED, UNSUPPORTED),
         ((mavlink.MAV_CMD_DO_SET_MODE,), UNSUPPORTED, UNSUPPORTED),
-        ((mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 5.0, -1.0), ACCEPTED, ACCEPTED),
+        ((mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 5.0, -1.0), FAILED, ACCEPTED),  # Mode::set_speed_xy: not in STABILIZE
         ((mavlink.MAV_CMD_GET_HOME_POSITION,), ACCEPTED, ACCEPTED),
         ((mavlink.MAV_CMD_DO_SET_MISSION_CURRENT, 1.0), FAILED, FAILED),  # there is none
         ((mavlink.MAV_CMD_MISSION_START,), FAILED, mavlink.MAV_RESULT_TEMPORARILY_REJECTED),
@@ -272,6 +272,20 @@ def test_commands_are_answered_as_real_vehicles_answer_them(
     number, *params = command
     assert answer(Ground("ardupilot"), int(number), *params) == ardupilot
     assert answer(Ground("px4"), int(number), *params) == px4
+
+
+def test_ardupilot_takes_a_speed_where_it_flies_somewhere() -> None:
+    """GCS_MAVLINK_Copter::handle_MAV_CMD_DO_CHANGE_SPEED: FAILED unless above 0 and of use in the mode."""
+    ground = Ground("ardupilot")
+    ground.mode("GUIDED")
+    assert answer(ground, mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, 6.0) == ACCEPTED
+    for useless in (0.0, -1.0, NAN):
+        assert answer(ground, mavlink.MAV_CMD_DO_CHANGE_SPEED, 1.0, useless) == FAILED
+    assert ground.autopilot.speed_m_s == 6.0
+    plane = Ground("ardupilot", "plane")
+    plane.mode("GUIDED")
+    assert answer(plane, mavlink.MAV_CMD_DO_CHANGE_SPEED, 0.0, 16.0) == ACCEPTED
+    assert answer(plane, mavlink.MAV_CMD_DO_CHANGE_SPEED, 0.0, 90.0) == FAILED  # outside its airspeed limits
 
 
 def test_a_start_at_an_item_is_px4s() -> None:
