@@ -68,8 +68,8 @@ _STANDS_M_S = 0.5
 _ORDER_S = 5.0  # for an answer to an order
 
 NOT_PROVEN = (
-    "that the fleet keeps apart, also when it returns, and arrives together was proven for the planned times only: from "
-    "now on it is watched, not proven"
+    "that the fleet keeps apart, also when it returns, and arrives together was proven for the planned times only: it "
+    "is watched from now on, not proven"
 )
 _CUSTOM_MODE = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
 _MESSAGE_INTERVALS_S = {
@@ -109,6 +109,7 @@ class FlightControl:
         self._grounded: dict[int, LinkError] = {}  # who did not start when it should
         self._keeper: PaceKeeper | None = None
         self._orders: dict[int, Steps] = {}  # being given
+        self._giving: Order | None = None  # what they are
         self._outcomes: dict[int, Ordered] = {}  # of those given last
         self._ordered: list[Ordered] = []  # all of them, in order
         self._paused_s: dict[int, float] = {}  # since when vehicles stand by order
@@ -356,6 +357,8 @@ class FlightControl:
                 words = f"{vehicle.plan.name} has landed"
             elif not vehicle.armed or sysid in self._grounded:
                 words = f"{vehicle.plan.name} is disarmed on the ground"
+            elif sysid in self._orders:
+                words = f"{vehicle.plan.name} was told to {self._giving}, and has not answered yet"
             elif ordered is not None and (ordered.order != "resume" or ordered.result != "obeyed"):
                 words = ordered.words
             elif vehicle.ended:
@@ -363,7 +366,8 @@ class FlightControl:
             elif not vehicle.in_mode("auto"):
                 words = f"{vehicle.plan.name} is in mode {vehicle.custom_mode}, not in its mission"
             silent_s = vehicle.silent_s(now_s)
-            told.append(words if silent_s <= UNHEARD_S else f"{words} (not heard for {silent_s:.0f} s)")
+            late = f" when it was last heard, {silent_s:.0f} s ago: what it does now is not known"
+            told.append(words if silent_s <= UNHEARD_S else words + late)
         return told
 
     def pump(self) -> None:
@@ -402,7 +406,7 @@ class FlightControl:
 
     def _give(self, request: Request) -> None:
         wanted = {k: v for k, v in self._vehicles.items() if not request.vehicles or v.plan.name in request.vehicles}
-        self._outcomes = {}
+        self._outcomes, self._giving = {}, request.order
         for sysid, vehicle in wanted.items():
             if self._keeper is not None:
                 self._keeper.give_up(list(self._vehicles).index(sysid))

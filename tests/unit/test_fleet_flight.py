@@ -15,10 +15,12 @@ from adapters.fleet_flight import Request
 from adapters.fleet_vehicle import Order
 from adapters.telemetry_log import FleetLog, read_log
 from missionplanner.errors import LinkError
+from missionplanner.pacing import Pacer, Rules
 from missionplanner.plan import FleetPlan, Ordered
 from missionplanner.vehicle import Autopilot
 from tests.plans import fleet_plan, small_fleet, vehicle_plan
 from tests.rig import Rig
+from tests.unit.test_pace_keeper import courses
 
 
 class Script:
@@ -318,3 +320,46 @@ def test_one_that_vanishes_in_mid_start_leaves_a_fleet_whose_state_is_said() -> 
     assert "\n" not in said
     rig.sim.advance(60.0)
     assert [link.autopilot.landed for link in rig.sim.links][0::2] == [True, True]
+
+
+def test_nothing_is_commanded_while_an_operator_has_a_say() -> None:
+    plan = long_legs("ardupilot", 2)
+    rig = started(plan)
+    rules = Rules(period_s=1.0, interval_s=2.0, band_s=0.0, band_share=0.0, freeze_s=0.0)
+    pacer = Pacer(courses(plan), lambda _i, _j: 20.0, correct=True, rules=rules)
+    script = Script(rig, (40.0, "pause", ()), (60.0, "resume", ("uav1",)), (75.0, "resume", ("uav2",)))
+    flight = rig.link.watch(pacer=pacer, helm=script)
+    assert not [c for c in flight.corrections if 40.5 < c.t_s < 75.0]
+    assert [c for c in flight.corrections if c.t_s > 75.0]  # and then it goes on
+    assert all(vehicle.landed_s is not None for vehicle in flight.vehicles)
+
+
+def test_who_stood_to_lose_time_and_is_paused_stays_paused_when_the_watch_ends() -> None:
+    plan = long_legs("ardupilot", 2)
+    rig = started(plan)
+    pacer = Pacer(courses(plan), lambda _i, _j: 20.0, correct=True, hold=True)
+
+    class Leaving(Script):
+        def request(self) -> Request | None:
+            if len(self.answers) == 1:
+                raise KeyboardInterrupt
+            return super().request()
+
+    rig.sim.advance(40.0)
+    assert rig.link._station is not None
+    script = Leaving(rig, (0.5, "pause", ()))
+    with pytest.raises(KeyboardInterrupt):
+        rig.link.watch(pacer=pacer, helm=script)
+    assert all("stands on its way" in words for words in rig.link.standing())
+    rig.sim.advance(30.0)
+    assert all(link.autopilot.paused for link in rig.sim.links)
+
+
+def test_who_is_not_heard_when_the_watch_ends_is_not_said_to_fly_on() -> None:
+    rig = started(small_fleet("px4", 1))
+    rig.sim.advance(15.0)
+    rig.link.pump()
+    rig.pipes[0].down = lambda _message: None
+    rig.link._station.settle(20.0)
+    (words,) = rig.link.standing()
+    assert "when it was last heard, 20 s ago: what it does now is not known" in words
