@@ -373,7 +373,8 @@ class SitlFleet:
             self._running[instance.vehicle.sysid] = subprocess.Popen(
                 command,
                 cwd=instance.folder,
-                env={**os.environ, **instance.environment},
+                # what a shell was set up with for some other simulation is none of ours
+                env={k: v for k, v in os.environ.items() if not k.startswith("PX4_")} | dict(instance.environment),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,

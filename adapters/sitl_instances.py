@@ -197,7 +197,7 @@ def sitl_instances(
         program = programs.get(kind)
         if program is None:
             raise MissionError(
-                f"--sitl: {vehicle.name} is an {' '.join(kind)}: expected its program as well, e.g. "
+                f"--sitl: {vehicle.name} ({' '.join(kind)}): expected its program as well, e.g. "
                 f"{'-'.join(kind)}=/path/to/{_usual_name(kind)}"
             )
         home = plan.frame.geo_point(vehicle.home_m)

@@ -193,5 +193,5 @@ def test_wrong_options_are_told_before_anything_is_planned(
 def test_a_vehicle_without_a_program_is_told(cli: Cli, programs: dict[str, Path], tmp_path: Path) -> None:
     plan_into(tmp_path / "plan", scene_of(fleet_of_three()))
     done = cli("fly", tmp_path / "plan", "--sitl", f"ardupilot={programs['arducopter']}")
-    expect_refusal(done, 2, "bravo is an px4 copter", "px4-copter=/path/to/px4")
+    expect_refusal(done, 2, "bravo (px4 copter)", "px4-copter=/path/to/px4")
     assert not (tmp_path / "plan" / "sitl").exists()

@@ -242,7 +242,7 @@ def test_speeds_of_time_that_are_none_are_refused(speedup: float, programs: Prog
 
 def test_every_vehicle_needs_a_program(programs: Programs, tmp_path: Path) -> None:
     some = {COPTER: programs[COPTER]}
-    with pytest.raises(MissionError, match=r"uav2 is .*ardupilot plane.*ardupilot-plane=/path/to/arduplane"):
+    with pytest.raises(MissionError, match=r"uav2 \(ardupilot plane\): .*ardupilot-plane=/path/to/arduplane"):
         sitl_instances(level_plan(COPTER, PLANE), some, tmp_path)
 
 
@@ -488,6 +488,26 @@ def test_signals_stop_them_and_are_told(number: int, tmp_path: Path, ports: None
     assert not alive(int(pids.read_text()))
     assert told == [f"1 simulator was stopped; logs are in {tmp_path / 'sitl'}"]
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_a_shell_set_up_for_another_simulation_does_no_harm(
+    tmp_path: Path, ports: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("PX4_SYS_AUTOSTART", "PX4_PARAM_NAV_ACC_RAD", "PX4_SIM_MODEL", "PLAIN"):
+        monkeypatch.setenv(name, "theirs")
+    px4 = script(tmp_path, "px4_build/bin/px4", "env; exit 1")
+    airframes = tmp_path / "px4_build" / "etc" / "init.d-posix" / "airframes"
+    airframes.mkdir(parents=True)
+    (airframes.parent / "rcS").touch()
+    (airframes / "10040_sihsim_quadx").touch()
+    fleet = SitlFleet(level_plan(("px4", "copter")), sitl_programs([str(px4)]), tmp_path / "sitl")
+    with pytest.raises(SitlError), fleet:
+        fleet.start()
+    told = dict(line.split("=", 1) for line in (tmp_path / "sitl" / "uav1" / "sitl.log").read_text().splitlines())
+    assert told["PLAIN"] == "theirs"
+    assert told["PX4_SIM_MODEL"] == "sihsim_quadx"
+    assert float(told["PX4_PARAM_NAV_ACC_RAD"]) > 0.0
+    assert "PX4_SYS_AUTOSTART" not in told
 
 
 def test_what_an_earlier_flight_has_left_is_gone(tmp_path: Path, ports: None) -> None:
