@@ -49,6 +49,7 @@ app = typer.Typer(
 )
 app.add_typer(experiment_commands.app, name="experiment")
 FILES, LOGS, SITL = "files", "logs", "sitl"
+MERGED = "fleet.tlog"
 
 MissionFile = Annotated[Path, typer.Argument(metavar="MISSION", help="mission file (YAML)")]
 PlanFolder = Annotated[Path, typer.Argument(metavar="FOLDER", help="plan folder")]
@@ -430,7 +431,8 @@ def fly(
     with stderr.status("writing the report"):
         report_path = write_report(folder, scene, fleet_plan, flight)
     _show(fleet_plan, folder, as_json, flight, check, report_path)
-    missing = [vehicle.name for vehicle in flight.vehicles if vehicle.arrival_s is None]
+    told = {o.vehicle: f" (told to {o.order})" for o in flight.orders if o.result != "refused" and o.order != "resume"}
+    missing = [v.name + told.get(v.name, "") for v in flight.vehicles if v.arrival_s is None]
     if missing:
         raise _verdict(f"{folder}: {', '.join(missing)} never reached the goal: see {report_path}")
     if not check.ok:
@@ -858,7 +860,7 @@ def resume(
     ] = None,
     log: Annotated[
         Path | None,
-        typer.Option(metavar="TLOG", help="from where the leg begins that this flight was broken off on"),
+        typer.Option(metavar="TLOG|FOLDER", help="from where the leg begins that this flight was broken off on"),
     ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FOLDER", help="default: FOLDER_NAME_resumed")
@@ -902,6 +904,8 @@ def _resume_plan(
     planned = find_vehicle(fleet_plan, vehicle)
     items = plan_items(planned, fleet_plan.frame)
     flown = flown_items(items, planned.autopilot)
+    if log is not None and log.is_dir():  # a plan folder that was flown, or its logs
+        log = next((path for path in (log / LOGS / MERGED, log / MERGED) if path.exists()), log)
     if log is not None:  # the leg that was being flown is flown again as a whole
         waypoint = bisect_left(flown, item_left(log, planned)) - 1
     else:
@@ -1074,7 +1078,7 @@ def replay(
 
     if plan_folder == Path() and not (plan_folder / "plan.json").exists():
         raise MissionError("--plan: expected the plan folder whose missions were flown")
-    merged = plan_folder / LOGS / "fleet.tlog"  # holds what the vehicles' own logs do
+    merged = plan_folder / LOGS / MERGED  # holds what the vehicles' own logs do
     paths = logs or ([merged] if merged.exists() else sorted((plan_folder / LOGS).glob("*.tlog")))
     if not paths:
         raise MissionError(f"replay: expected telemetry logs (.tlog), got none, and none are in {plan_folder / LOGS}")
