@@ -53,7 +53,9 @@ class Timing:
 
     answer_s: float = 1.5  # for the answer to a COUNT or REQUEST_LIST, as the specification says
     item_s: float = 0.25  # least wait for an item or for a request after one, likewise
-    item_max_s: float = 3.0  # the wait grows with the round trips measured, up to this
+    # the wait grows with the round trips measured, up to this: PX4 ends a download, ArduPilot an upload, when it hears
+    # nothing for 5 and 8 s, and most of what is sent may be lost
+    item_max_s: float = 0.7
     straggle_max_s: float = 1.0  # for copies of a request to arrive before the next is sent
     retries: int = 10  # of a COUNT or REQUEST_LIST; the specification's 5 lose 7 % of first contacts at 40 % loss
     item_retries: int = 20
@@ -63,6 +65,10 @@ class Timing:
     read_attempts: int = 12  # of a download: PX4 ends it as soon as an old request comes late
     stalled_s: float = 20.0  # without a new item, however often the vehicle asks for the old ones
     restarts: int = 20  # of the vehicle's own, at each COUNT that comes late or twice: more of them are no progress
+
+    def retries_of(self, attempt: int) -> int:
+        """Return how often a COUNT or REQUEST_LIST is repeated: whoever has answered before gets more of them."""
+        return self.retries if attempt == 1 else 2 * self.retries
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,11 +217,11 @@ class MissionUpload:
     def _poll_counting(self, now_s: float) -> list[Message]:
         if now_s < self._patience.due_s:
             return []
-        if self._patience.exhausted(self._timing.retries):
+        if self._patience.exhausted(self._timing.retries_of(self._attempt)):
             state = self._state_after_failure() if self.sent else f"it keeps its old {self._what}: check the link"
+            counts = self._timing.retries_of(self._attempt) + 1
             raise self._party.error(
-                f"expected requests for {self._what} items, got no answer to {self._timing.retries + 1} "
-                f"MISSION_COUNTs; {state}"
+                f"expected requests for {self._what} items, got no answer to {counts} MISSION_COUNTs; {state}"
             )
         return [self._count(now_s, again=True)]
 
@@ -403,7 +409,7 @@ class MissionDownload:
         if now_s < self._patience.due_s:
             return []
         if self._phase == "listing":
-            if self._patience.exhausted(self._timing.retries):
+            if self._patience.exhausted(self._timing.retries_of(self._attempt)):
                 what = what_is_sent(self._mission_type)
                 raise self._party.error(f"expected its {what}, got no answer to MISSION_REQUEST_LIST; check the link")
             return [self._list(now_s, again=True)]
