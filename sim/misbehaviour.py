@@ -22,6 +22,7 @@ from sim.vehicle_link import VehicleLink
 Kind = Literal["deaf", "mute", "unanswered", "wrong", "changed", "error", "acceptance", "reboot", "silent"]
 
 _SHIFT_M = 10.0  # by which a changed item is higher
+_RESULT_MAX = int(mavlink.MAV_MISSION_OPERATION_CANCELLED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +31,7 @@ class Fault:
 
     ``message`` is the MAVLink message that it is about (MISSION_ITEM and MISSION_REQUEST mean their _INT forms, too;
     None: all), ``item`` the seq of a mission item or the number of a command that it is about (None: every one).
+    ``result`` is the MAV_MISSION_RESULT of an acknowledgement that is an error.
     """
 
     kind: Kind
@@ -38,11 +40,13 @@ class Fault:
     times: float = math.inf
     after_s: float = 0.0
     for_s: float = math.inf
+    result: int = int(mavlink.MAV_MISSION_ERROR)
 
 
 _MESSAGES = frozenset(kind.msgname for kind in mavlink.mavlink_map.values()) | {"MISSION_ITEM", "MISSION_REQUEST"}
 _NAME = r"(?P<message>[A-Z][A-Z0-9_]*)"
 _ITEM = r"(?: item (?P<item>\d+))?"
+_RESULT = r"(?: (?P<result>\d+))?"
 _FORMS: Mapping[Kind, tuple[str, str]] = MappingProxyType(
     {
         "reboot": (r"reboot(?: at item (?P<item>\d+))?", "reboot [at item N]"),
@@ -50,15 +54,14 @@ _FORMS: Mapping[Kind, tuple[str, str]] = MappingProxyType(
         "deaf": (rf"deaf(?: to {_NAME})?", "deaf [to MESSAGE]"),
         "unanswered": (rf"no answer to {_NAME}(?: (?P<item>\d+))?", "no answer to MESSAGE [COMMAND]"),
         "mute": (rf"no {_NAME}{_ITEM}", "no MESSAGE [item N]"),
-        "wrong": (rf"wrong {_NAME}{_ITEM}", "wrong MESSAGE [item N]"),
+        "wrong": (rf"wrong {_NAME}{_RESULT}{_ITEM}", "wrong MESSAGE [RESULT] [item N]"),
         "changed": (rf"changed (?P<message>MISSION_ITEM){_ITEM}", "changed MISSION_ITEM [item N]"),
-        "error": (rf"error instead of {_NAME}{_ITEM}", "error instead of MESSAGE [item N]"),
+        "error": (rf"error{_RESULT} instead of {_NAME}{_ITEM}", "error [RESULT] instead of MESSAGE [item N]"),
         "acceptance": (rf"acceptance instead of {_NAME}{_ITEM}", "acceptance instead of MESSAGE [item N]"),
     }
 )
 _SUFFIX = re.compile(r"\s+(?:(?P<once>once)|after (?P<after>[\d.]+) s|for (?P<for>[\d.]+) s)$")
 
-_ERROR = int(mavlink.MAV_MISSION_ERROR)
 QGROUNDCONTROL_FAULTS: Mapping[str, Fault] = MappingProxyType(
     {
         # MockLinkMissionItemHandler::FailureMode_t
@@ -126,12 +129,16 @@ def parse_fault(text: str) -> tuple[int | None, Fault]:
         groups = match.groupdict()
         item = groups.get("item")
         fault = Fault(kind, groups.get("message"), None if item is None else int(item))
+        if groups.get("result") is not None:
+            fault = replace(fault, result=int(groups["result"]))
         if kind == "reboot":
             times = 1.0
     if fault is None:
         raise MissionError(f"fault: {rest!r} is none; {_forms()}")
     if fault.message is not None and fault.message not in _MESSAGES:
         raise MissionError(f"fault: expected the name of a MAVLink message, got {fault.message!r} in {text!r}")
+    if fault.result > _RESULT_MAX:
+        raise MissionError(f"fault: expected a MAV_MISSION_RESULT from 0 to {_RESULT_MAX}, got {text!r}")
     sysid = None if head["sysid"] is None else int(head["sysid"])
     return sysid, replace(fault, times=min(fault.times, times), after_s=after_s, for_s=for_s)
 
@@ -232,7 +239,7 @@ class MisbehavingLink(VehicleLink):
                 if said is None or change is None or not armed.now(now_s) or not _strikes(armed.fault, said):
                     continue
                 armed.left -= 1
-                said = change(self, said)
+                said = change(self, said, armed.fault.result)
             if said is not None:
                 out.append((link, said))
         return [] if self._is_silent(now_s) else out
@@ -256,12 +263,12 @@ class MisbehavingLink(VehicleLink):
         silent = (armed for armed in self._faults if armed.fault.kind == "silent")
         return any(armed.now(now_s) if armed.fault.item is None else now_s < armed.until_s for armed in silent)
 
-    def _wrong(self, message: Any) -> Any:
+    def _wrong(self, message: Any, result: int) -> Any:
         """Return a message with the next seq (an item with that one's content), or a refusing acknowledgement."""
         name = message.get_type()
         if name == "MISSION_ACK":
             return mavlink.MAVLink_mission_ack_message(
-                message.target_system, message.target_component, _ERROR, message.mission_type
+                message.target_system, message.target_component, result, message.mission_type
             )
         if name == "COMMAND_ACK":
             message.result = mavlink.MAV_RESULT_UNSUPPORTED
@@ -283,18 +290,19 @@ class MisbehavingLink(VehicleLink):
         target = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
         return mavlink.MAVLink_mission_ack_message(*target, result, getattr(message, "mission_type", 0))
 
-    def _changed(self, message: Any) -> Any:
+    def _changed(self, message: Any, result: int) -> Any:
+        del result
         message.z += _SHIFT_M
         return message
 
 
-_CHANGES: Mapping[Kind, Callable[[MisbehavingLink, Any], Any]] = MappingProxyType(
+_CHANGES: Mapping[Kind, Callable[[MisbehavingLink, Any, int], Any]] = MappingProxyType(
     {
-        "mute": lambda _, __: None,
+        "mute": lambda *_: None,
         "wrong": MisbehavingLink._wrong,
         "changed": MisbehavingLink._changed,
-        "error": lambda link, message: link._instead(message, _ERROR),
-        "acceptance": lambda link, message: link._instead(message, mavlink.MAV_MISSION_ACCEPTED),
+        "error": MisbehavingLink._instead,
+        "acceptance": lambda link, message, _: link._instead(message, mavlink.MAV_MISSION_ACCEPTED),
     }
 )
 

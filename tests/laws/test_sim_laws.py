@@ -13,9 +13,15 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.mission_items import MissionItem
+from adapters.mission_protocol import mismatches
+from missionplanner.errors import LinkError
 from missionplanner.vehicle import Autopilot, VehicleClass
+from sim.fleet import planned_vehicles
+from sim.misbehaviour import Fault
 from sim.personality import personality
 from sim.vehicle_link import _MISSION_MESSAGES, VehicleLink
+from tests.plans import small_fleet
+from tests.rig import Rig
 from tests.simulated import LAT, LON, Ground, item_message, mission, of_type, renumbered
 
 AUTOPILOTS = st.sampled_from(["ardupilot", "px4"])
@@ -108,6 +114,41 @@ def test_mutated_frames_are_survived(autopilot: Autopilot, noise: bytes, where: 
     ground.fleet.poll()
     ground.run(0.1)
     assert not ground.autopilot.armed
+
+
+FAULTS = st.builds(
+    Fault,
+    kind=st.sampled_from(["deaf", "mute", "unanswered", "wrong", "changed", "error", "acceptance", "reboot", "silent"]),
+    message=st.sampled_from(["MISSION_COUNT", "MISSION_REQUEST", "MISSION_ITEM", "MISSION_ACK", "COMMAND_ACK"]),
+    item=st.none() | st.integers(0, 5),
+    times=st.integers(1, 3) | st.just(math.inf),
+    after_s=st.floats(0.0, 8.0),
+    for_s=st.floats(0.5, 5.0),
+    result=st.integers(0, 15),
+)
+
+
+@settings(LAW, max_examples=25)
+@given(AUTOPILOTS, st.lists(FAULTS, min_size=1, max_size=3))
+def test_whatever_a_vehicle_does_its_mission_is_verified_or_it_is_named(
+    autopilot: Autopilot, faults: list[Fault]
+) -> None:
+    """What is called verified is held; what is not is said of the vehicle at fault, and nobody is armed."""
+    plan = small_fleet(autopilot, 2)
+    first, second = planned_vehicles(plan)
+    changed = [replace(f, message="MISSION_ITEM") if f.kind == "changed" else f for f in faults]
+    rig = Rig(plan, vehicles=[first, replace(second, faults=tuple(changed))])
+    try:
+        rig.link.connect()
+        rig.link.upload()
+        rig.link.verify()
+    except LinkError as error:
+        assert "uav2 (sysid 2)" in str(error)
+        assert "\n" not in str(error)
+    else:
+        for link in rig.sim.links:
+            assert not mismatches(rig.link.items[link.sysid], link.missions.items(), autopilot)
+    assert not any(link.autopilot.armed for link in rig.sim.links)
 
 
 MESSAGES = [*VehicleLink._HANDLERS, *_MISSION_MESSAGES]

@@ -52,6 +52,9 @@ UPLOADS: dict[str, str | None] = {
     "FailWriteRequest0ErrorAck": REFUSED,
     "FailWriteRequest1ErrorAck": f"{GIVEN_UP}|{REFUSED}",
     "FailWriteFinalAckNoResponse": None,  # the read-back decides
+    "wrong MISSION_ACK 14": "refused the upload (DENIED)",
+    "error 9 instead of MISSION_REQUEST item 1": "refused the mission: invalid param4",
+    "error 15 instead of MISSION_REQUEST item 1 once": None,
     "FailWriteFinalAckMissingRequests": "before its last item was sent",
     "reboot at item 2": None,  # the upload begins anew
     "silent at item 2": NO_ANSWER,
@@ -167,6 +170,8 @@ def test_a_parameter_list_is_complete_or_an_error(words: str, expected: str | No
         ("vehicle 3: no answer to COMMAND_LONG 400", 3, Fault("unanswered", "COMMAND_LONG", 400)),
         ("vehicle 3: deaf to MISSION_COUNT", 3, Fault("deaf", "MISSION_COUNT")),
         ("vehicle 3: error instead of MISSION_REQUEST item 0", 3, Fault("error", "MISSION_REQUEST", 0)),
+        ("vehicle 3: error 14 instead of MISSION_REQUEST", 3, Fault("error", "MISSION_REQUEST", result=14)),
+        ("vehicle 3: wrong MISSION_ACK 4 once", 3, Fault("wrong", "MISSION_ACK", times=1, result=4)),
         ("vehicle 1: FailWriteFinalAckNoResponse once", 1, Fault("mute", "MISSION_ACK", times=1)),
     ],
 )
@@ -180,6 +185,7 @@ def test_faults_are_read(text: str, sysid: int | None, fault: Fault) -> None:
         ("reboot", r"expected 'vehicle N: FAULT'.*faults are: reboot"),
         ("vehicle 2: explode", r"'explode' is none; faults are: .*deaf \[to MESSAGE\].*FailReadRequest0NoResponse"),
         ("vehicle 2: no MISSION_ITEMS", r"expected the name of a MAVLink message, got 'MISSION_ITEMS'"),
+        ("vehicle 2: error 99 instead of MISSION_REQUEST", r"expected a MAV_MISSION_RESULT from 0 to 15"),
         ("vehicle 2: silent after 1.2.3 s", r"expected seconds as a number"),
         ("vehicle 9: reboot", r"expected a vehicle from 1 to 3, got 'vehicle 9: reboot'"),
     ],
