@@ -477,3 +477,61 @@ def test_only_a_mission_has_its_home_as_first_item() -> None:
     sent, read = [replace(item(5001, 0, 3.0), seq=0)], [replace(item(5001, 0, 3.0, x=6), seq=0)]
     assert mismatches(sent, read, "ardupilot") == []
     assert [m.field for m in mismatches(sent, read, "ardupilot", mission_type=1)] == ["x"]
+
+
+def asked(messages: list[Message]) -> list[int]:
+    assert {m.get_type() for m in messages} <= {"MISSION_REQUEST_INT"}
+    return [m.seq for m in messages]
+
+
+def reading(ahead: int) -> MissionDownload:
+    download = MissionDownload(PARTY, ahead=ahead)
+    download.poll(0.0)
+    return download
+
+
+def from_ours(item: MissionItem) -> Message:
+    """Return an item as the vehicle sends it to us."""
+    message = item_message(item, PARTY.own_sysid)
+    message.target_component = PARTY.own_component
+    return from_vehicle(message)
+
+
+def test_several_items_at_once_in_any_order_and_only_what_is_missing_again() -> None:
+    download = reading(3)
+    assert asked(download.receive(count(6), 0.1)) == [0, 1, 2]
+    assert asked(download.receive(from_ours(ITEMS[1]), 0.2)) == [3]
+    assert asked(download.receive(from_ours(ITEMS[1]), 0.2)) == []  # twice
+    assert asked(download.receive(from_ours(ITEMS[3]), 0.3)) == [4]
+    assert asked(download.poll(0.4)) == []
+    assert asked(download.poll(1.2)) == [0, 2, 4]
+    assert asked(download.receive(from_ours(ITEMS[0]), 1.3)) == [5]
+    for seq in (5, 4):
+        assert asked(download.receive(from_ours(ITEMS[seq]), 1.4)) == []
+    assert not download.done
+    [last] = download.receive(from_ours(ITEMS[2]), 1.5)
+    assert last.get_type() == "MISSION_ACK"
+    assert download.items == ITEMS
+
+
+def test_copies_of_a_repeated_request_are_given_time_to_arrive() -> None:
+    """PX4 ends a download at any request but the next and the last one."""
+    download = reading(1)
+    assert asked(download.receive(count(6), 0.1)) == [0]
+    assert asked(download.receive(from_ours(ITEMS[0]), 0.2)) == [1]  # nothing else is under way
+    assert asked(download.poll(0.6)) == [1]
+    assert asked(download.receive(from_ours(ITEMS[1]), 0.65)) == []  # the first copy's answer; the second is on its way
+    assert asked(download.poll(0.7)) == []
+    assert asked(download.poll(0.91)) == [2]
+    assert asked(download.receive(from_ours(ITEMS[2]), 1.0)) == [3]
+
+
+def test_no_wait_is_so_long_that_an_autopilot_gives_up() -> None:
+    """Round trips of 2 s: it is still asked seven times in the 5 s after which PX4 ends a download."""
+    download = reading(1)
+    download.receive(count(6), 2.0)
+    now_s, asks = 2.0, 0
+    while now_s < 7.0:
+        now_s += 0.01
+        asks += len(download.poll(now_s))
+    assert asks >= 7
