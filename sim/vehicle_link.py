@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+import zlib
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -29,6 +30,8 @@ COMPONENT_ID = int(mavlink.MAV_COMP_ID_AUTOPILOT1)
 _TEXT_MAX = 50
 _ALT_MAX_M = 83_000.0
 _PARAMETERS_PER_POLL = 25
+_PX4_HASH = "_HASH_CHECK"
+_NO_INDEX = 65_535
 _BOOT_S = 3.0  # deaf and dumb after a reboot
 _REACHED_AGAIN = 10  # PX4 tells the item reached last so often again, once a second
 _FORCE = 21196  # https://mavlink.io/en/messages/common.html#MAV_CMD_COMPONENT_ARM_DISARM
@@ -311,13 +314,15 @@ class VehicleLink:
         del message, now_s
         self._parameter_queue = deque(entry for entry in self._parameter_queue if entry[0] != link)
         self._parameter_queue.extend((link, name) for name in self.autopilot.parameters)
-        return []
+        return [(link, self._parameter_hash())] if self.autopilot.personality.integers_bytewise else []
 
     def _parameter_request_read(self, message: Any, link: Link, now_s: float) -> list[Outgoing]:
         del now_s
         names = list(self.autopilot.parameters)
         index = message.param_index
         name = names[index] if 0 <= index < len(names) else _text(message.param_id)
+        if name == _PX4_HASH and self.autopilot.personality.integers_bytewise:
+            return [(link, self._parameter_hash())]
         return [(link, self._parameter_value(name))] if name in self.autopilot.parameters else []
 
     def _parameter_set(self, message: Any, link: Link, now_s: float) -> list[Outgoing]:
@@ -334,6 +339,15 @@ class VehicleLink:
         elif math.isfinite(value):
             parameters[name] = value
         return [(None, self._parameter_value(name))]  # to everybody, as the specification asks
+
+    def _parameter_hash(self) -> Any:
+        """Return the hash by which PX4 lets ground stations know whether they have its parameters already."""
+        digest = 0
+        for name, value in self.autopilot.parameters.items():
+            digest = zlib.crc32(name.encode() + struct.pack("<i" if isinstance(value, int) else "<f", value), digest)
+        (value,) = struct.unpack("<f", struct.pack("<I", digest))
+        kind, count = mavlink.MAV_PARAM_TYPE_UINT32, len(self.autopilot.parameters)
+        return mavlink.MAVLink_param_value_message(_PX4_HASH.encode(), value, kind, count, _NO_INDEX)
 
     def _parameter_value(self, name: str) -> Any:
         parameters = self.autopilot.parameters

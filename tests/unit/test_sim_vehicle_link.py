@@ -133,7 +133,8 @@ def test_interval_shorter_than_a_tick_sends_once_a_tick() -> None:
 @BOTH
 def test_parameter_list_is_complete_and_numbered(autopilot: Autopilot) -> None:
     ground = Ground(autopilot)
-    ground.send(mavlink.MAVLink_param_request_list_message(1, 1))
+    first = ground.send(mavlink.MAVLink_param_request_list_message(1, 1))
+    assert [(m.param_id, m.param_index) for m in first] == ([("_HASH_CHECK", 65_535)] if autopilot == "px4" else [])
     values = of_type(ground.run(1.0), "PARAM_VALUE")
     assert [v.param_index for v in values] == list(range(values[0].param_count))
     assert len({v.param_id for v in values}) == len(values)
@@ -157,6 +158,16 @@ def test_integers_are_cast_by_ardupilot_and_sent_by_their_bytes_by_px4() -> None
     seven = struct.unpack("<f", struct.pack("<i", 7))[0]
     px4.send(mavlink.MAVLink_param_set_message(1, 1, b"NAV_RCL_ACT", seven, mavlink.MAV_PARAM_TYPE_INT32))
     assert px4.autopilot.parameters["NAV_RCL_ACT"] == 7
+
+
+def test_px4s_hash_changes_with_its_parameters() -> None:
+    ground = Ground("px4")
+    ask = mavlink.MAVLink_param_request_read_message(1, 1, b"_HASH_CHECK", -1)
+    (before,), (same,) = ground.send(ask), ground.send(ask)
+    ground.send(mavlink.MAVLink_param_set_message(1, 1, b"MPC_XY_CRUISE", 3.0, mavlink.MAV_PARAM_TYPE_REAL32))
+    (after,) = ground.send(ask)
+    assert before.get_payload() == same.get_payload() != after.get_payload()
+    assert Ground("ardupilot").send(ask) == []
 
 
 def test_unknown_parameters_and_nan_change_nothing() -> None:
