@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import select
 import time
+from collections import deque
 from collections.abc import Callable, Generator, Mapping, Sequence
 from typing import Any, Generic, Protocol, TypeVar, cast
 
@@ -71,6 +72,8 @@ _UPLOADS = 3  # of what was not confirmed, and reads back otherwise
 _READ_AHEAD = 5  # items of ArduPilot asked for at once, as MAVProxy does
 _VERSIONS_LOST = 12  # at most, though they were promised
 _IDENTIFY_S = 15.0  # for an answer: 40 % of loss each way leave one in 10,000 unanswered
+_CONTRADICTIONS = 3  # between numbers of frames and how many arrive
+_STRETCH_MAX = 100  # frames: whoever loses more than every second one contradicts nothing
 _SETBACK_MS = 5_000  # no link holds a message for so long while it lets later ones through
 _TWO = "give each vehicle its own sysid (ArduPilot SYSID_THISMAV, PX4 MAV_SYS_ID)"
 LISTEN_S = 2.5  # two heartbeats: long enough to hear a second vehicle with the same sysid
@@ -83,6 +86,41 @@ _AUTOPILOTS: dict[int, Autopilot] = {
 }
 _COPTERS = frozenset({2, 3, 4, 13, 14, 15, 29, 35})  # MAV_TYPE: multirotors, coaxial and helicopters
 _PLANES = frozenset({1, *range(19, 26)})  # fixed wing and VTOL
+
+
+class _Numbering:
+    """Whether a vehicle's frames bear the numbers of one sender.
+
+    Of one sender, no more frames arrive between two heartbeats than it has numbered meanwhile, but for a few that were
+    overtaken. Numbers begin anew after 256: so nothing is said of longer stretches, and one contradiction is none: a
+    link that was down for long makes one, too.
+    """
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._beats: deque[tuple[int, int]] = deque(maxlen=3)  # number and count at the last heartbeats
+        self._recent: deque[bytes] = deque(maxlen=256)  # a frame that comes on two ways counts once
+        self._contradictions = 0
+
+    @property
+    def of_two(self) -> bool:
+        """Whether two senders number their frames by turns."""
+        return self._contradictions >= _CONTRADICTIONS
+
+    def hear(self, message: Message) -> None:
+        """Take note of a frame."""
+        frame = bytes(message.get_msgbuf())
+        if frame in self._recent:
+            return
+        self._recent.append(frame)
+        self._count += 1
+        if message.get_type() != "HEARTBEAT":
+            return
+        self._beats.append((message.get_seq(), self._count))
+        if len(self._beats) == self._beats.maxlen:  # two senders beat by turns
+            (number, count), _, (last_number, last_count) = self._beats
+            arrived, numbered = last_count - count, (last_number - number) % 256
+            self._contradictions += arrived < _STRETCH_MAX and arrived > 1.4 * numbered + 3
 
 
 class Peer:
@@ -102,6 +140,7 @@ class Peer:
         self._refusal: LinkError | None = None
         self._boot_ms = 0
         self._setbacks = 0  # of its clock
+        self._numbering: _Numbering | None = _Numbering()  # until it is known to be alone
 
     @property
     def signs(self) -> bool:
@@ -148,6 +187,8 @@ class Peer:
 
     def receive(self, message: Message, now_s: float) -> list[Message]:
         """Take one message of this vehicle and return what to answer."""
+        if self._numbering is not None:
+            self._numbering.hear(message)
         if message.get_type() == "HEARTBEAT":
             self.heartbeat = message
         if message.get_type() == "AUTOPILOT_VERSION":
@@ -191,8 +232,10 @@ class Peer:
         Raises
         ------
         LinkError
-            It has told two unique ids, or its clock has been set back more than once.
+            It has told two unique ids, its clock has been set back more than once, or its frames bear the numbers of
+            two senders.
         """
+        numbering, self._numbering = self._numbering, None
         for digits in (36, 16):
             told = sorted(uid for uid in self.unique_ids if len(uid) == digits)
             if len(told) > 1:
@@ -201,6 +244,8 @@ class Peer:
             raise self.error(
                 f"expected one autopilot, heard two by turns (times since start go back and forth): {_TWO}"
             )
+        if numbering is not None and numbering.of_two:
+            raise self.error(f"expected one autopilot, heard two by turns (frames bear the numbers of two): {_TWO}")
 
 
 def _unique_ids(message: Message) -> set[str]:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -23,6 +24,7 @@ from missionplanner.errors import LinkError, MissionError
 from missionplanner.mission import Fence, Fleet, NoFly, Place, RallyPoint
 from missionplanner.plan import FleetPlan
 from missionplanner.vehicle import Autopilot
+from sim.faults import Faults, FaultyEndpoint
 from sim.fleet import LockstepClock, SimFleet, planned_vehicles
 from tests.plans import FRAME, small_fleet
 from tests.rig import MeddledEndpoint, Rig
@@ -397,3 +399,46 @@ def test_a_held_fence_is_told_where_no_plan_is() -> None:
     rig.upload()
     [found] = download_missions(list(rig.pipes), rig.clock).values()
     assert found.notes == ("it holds a fence of 3 items, not checked: it may end the mission",)
+
+
+def test_two_autopilots_behind_one_address_are_known_by_the_numbers_of_their_frames() -> None:
+    """Twins in all else: the same id, started at the same time."""
+
+    def elsewhere(message: Any) -> Any:
+        message._header.seq = (message.get_seq() + 100) % 256
+        return message
+
+    with pytest.raises(
+        LinkError, match=r"expected one autopilot, heard two by turns \(frames bear the numbers of two\)"
+    ):
+        twins(elsewhere).connect()
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    "faults",
+    [
+        Faults(loss=0.4, duplicate=0.2, reorder=0.2, delay_s=0.05),
+        Faults(loss=0.2, duplicate=0.5, reorder=0.5, jitter_s=1.0),
+        Faults(down_s=((1.0, 9.0),)),
+    ],
+)
+def test_one_autopilot_on_a_bad_link_is_no_two(faults: Faults, seed: int) -> None:
+    plan = small_fleet("px4", 1)
+    sim = SimFleet(planned_vehicles(plan), frame=plan.frame, seed=seed)
+    ground, air = in_process_pair()
+    sim.attach(FaultyEndpoint(air, faults, lambda: sim.now_s, np.random.default_rng(seed)))
+    FleetLink(plan, [ground], LockstepClock(sim)).connect()
+
+
+def test_a_frame_that_comes_on_two_ways_is_of_one_autopilot() -> None:
+    plan = small_fleet("ardupilot", 1)
+    sim = SimFleet(planned_vehicles(plan), frame=plan.frame)
+    ground, air = in_process_pair()
+    sim.attach(air)
+
+    class Doubled(Merged):
+        def receive(self) -> list[tuple[bytes, Peer]]:
+            return [piece for piece in super().receive() for _ in range(2)]
+
+    FleetLink(plan, [Doubled(ground)], LockstepClock(sim)).connect()
