@@ -79,6 +79,7 @@ _CHECK_S = 0.5  # real time between looks at the simulators
 _RATE_OVER_S = 0.5  # real time
 _RATE_FOR_S = 3.0  # real time
 _RATE_LEAST = 0.1
+_PACES_DIFFER = 1.1
 _REBOOT_S = 1.0  # a time that falls back by less was sent before
 
 _HEADER = re.compile(rb"\xfd(.)(.).{2}(.)\x01([\x02\x21\x85])\x00\x00", re.DOTALL)  # from an autopilot, MAVLink 2
@@ -110,6 +111,8 @@ class SitlClock:
         self._now_s = 0.0
         self._marks: dict[int, tuple[float, float]] = {}  # real time and time since boot, by sysid
         self._rates: dict[int, tuple[float, float]] = {}  # of time, and when that was seen
+        self._first: dict[int, tuple[float, float]] = {}  # marks: the first since boot, and the last
+        self._last: dict[int, tuple[float, float]] = {}
 
     def wait_on(self, endpoints: Sequence[Endpoint]) -> None:
         """Let waiting end early when one of these has something to read."""
@@ -143,12 +146,18 @@ class SitlClock:
         """Take note of what a vehicle says of its time since boot."""
         wall_s = time.monotonic()
         mark = self._marks.get(sysid)
+        self._last[sysid] = wall_s, boot_s
         if mark is None or boot_s < mark[1] - _REBOOT_S:
-            self._marks[sysid] = wall_s, boot_s
+            self._marks[sysid] = self._first[sysid] = wall_s, boot_s
         elif wall_s - mark[0] >= _RATE_OVER_S:
             self.now_s()  # at the rate so far
             self._rates[sysid] = (boot_s - mark[1]) / (wall_s - mark[0]), wall_s
             self._marks[sysid] = wall_s, boot_s
+
+    def paces(self) -> dict[int, float]:
+        """Return how many times real time each vehicle has lived through since it was first heard, by sysid."""
+        spans = {sysid: (np.subtract(last, self._first[sysid])) for sysid, last in self._last.items()}
+        return {sysid: float(boot_s / wall_s) for sysid, (wall_s, boot_s) in spans.items() if wall_s > _RATE_OVER_S}
 
     def _rate(self, wall_s: float) -> float:
         fresh = [rate for rate, seen_s in self._rates.values() if wall_s - seen_s <= _RATE_FOR_S]
@@ -347,9 +356,21 @@ class SitlFleet:
             if count and isinstance(error, KeyboardInterrupt | SystemExit):
                 stopped = "1 simulator was" if count == 1 else f"all {count} simulators were"
                 self._tell(f"{stopped} stopped; logs are in {self._folder}")
+            elif count and error is None:
+                self._tell_paces()
         finally:
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
+
+    def _tell_paces(self) -> None:
+        """Say so where the simulators have not kept pace: what one waits for by the ground's clock is late or early."""
+        paces = self.clock.paces().values()
+        least, most = min(paces, default=1.0), max(paces, default=1.0)
+        if most > _PACES_DIFFER * least:
+            self._tell(
+                f"the simulators ran at {least:.1f} to {most:.1f} times real time: each is timed by its own clock, but "
+                "those who start later, or were hurried, were so by the slowest one's; ask for a lesser --speedup"
+            )
 
     def _expect_free_ports(self) -> None:
         for instance in self._instances.values():

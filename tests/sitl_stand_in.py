@@ -2,7 +2,8 @@
 
 It takes the same arguments and environment, refuses what the real ones refuse, blocks where they block, speaks on the
 same ports and leaves the same files; what flies is the built-in simulator. Beyond that it obeys STAND_IN_CRASH
-(``SYSID:SECONDS``: dies by itself, so long after it has begun), STAND_IN_GROUND (asks for terrain, and leaves what it
+(``SYSID:SECONDS``: dies by itself, so long after it has begun), STAND_IN_PACE (``SYSID:FACTOR``: does not keep up with
+the speed-up, as on a busy computer), STAND_IN_GROUND (asks for terrain, and leaves what it
 was told in terrain.json) and, for PX4, the file ``etc/whole_degrees`` (its homes are in whole 1e-7 degrees).
 """
 
@@ -218,6 +219,8 @@ def _fly(kind: Kind, sysid: int, home: GeoPoint, parameters: Mapping[str, Any], 
             print(f"Ignored unknown param {name} in defaults file")
     fleet.attach(link)
     crash_sysid, _, crash_s = os.environ.get("STAND_IN_CRASH", "").partition(":")
+    pace_sysid, _, factor = os.environ.get("STAND_IN_PACE", "").partition(":")
+    speedup *= float(factor) if pace_sysid == str(sysid) else 1.0
     if "STAND_IN_GROUND" in os.environ:
         _ask_for_ground(link, sysid, home)
 

@@ -115,6 +115,19 @@ def test_a_mixed_fleet_flies_as_planned(
 
 
 @pytest.mark.slow
+def test_one_that_does_not_keep_pace_is_waited_for_and_told(
+    cli: Cli, programs: dict[str, Path], tmp_path: Path, ports: None
+) -> None:
+    plan_into(tmp_path / "plan", scene_of(question()))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STAND_IN_PACE", "2:0.4")
+        done = cli("fly", tmp_path / "plan", "--sitl", programs["arducopter"], "--speedup", "10", "--json")
+    assert done.code == 0, done.err
+    assert done.json["fleet"]["flown_arrival_spread_s"] < 1.0  # each by its own clock
+    assert "times real time" in done.err
+
+
+@pytest.mark.slow
 def test_ground_is_told_to_who_asks(cli: Cli, programs: dict[str, Path], tmp_path: Path, ports: None) -> None:
     scene = scene_of(hilly(tmp_path), tmp_path)
     plan_into(tmp_path / "plan", scene)

@@ -316,6 +316,7 @@ def test_the_clock_runs_as_the_slowest_vehicle_does(wall: Wall) -> None:
     before_s = clock.now_s()
     wall.pass_(1.0)
     assert clock.now_s() - before_s == pytest.approx(4.0)
+    assert clock.paces() == pytest.approx({1: 10.0, 2: 4.0})
 
 
 def test_one_that_hangs_does_not_stop_the_clock(wall: Wall) -> None:
