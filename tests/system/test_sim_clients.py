@@ -144,9 +144,9 @@ def test_mavsdk_reads_parameters_holds_returns_and_lands(
     action.arm()
     action.takeoff()
     wait_for(telemetry.in_air, "take-off")
-    action.hold()
-    action.return_to_launch()
-    action.land()
+    for order, mode in ((action.hold, "HOLD"), (action.return_to_launch, "RETURN_TO_LAUNCH"), (action.land, "LAND")):
+        order()
+        wait_for(lambda mode=mode: telemetry.flight_mode().name == mode, mode)  # type: ignore[misc]
     wait_for(lambda: not telemetry.in_air(), "touch-down")
 
 
