@@ -83,8 +83,7 @@ _PACES_DIFFER = 1.1
 _REBOOT_S = 1.0  # a time that falls back by less was sent before
 
 _HEADER = re.compile(rb"\xfd(.)(.).{2}(.)\x01([\x02\x21\x85])\x00\x00", re.DOTALL)  # from an autopilot, MAVLink 2
-_HEADER_BYTES, _CHECKSUM_BYTES = 10, 2
-
+_CHECKSUM_BYTES = 2
 
 # Runs before the autopilot's program, in its process: has the system kill it when we die, then becomes it.
 _GUARD = """\
@@ -261,7 +260,6 @@ class SitlFleet:
         self._folder = folder
         self._tell = tell
         self._ground = ground
-
         self._how = partial(sitl_instances, plan, programs, folder, speedup=speedup, ground=ground, wind_m_s=wind_m_s)
         self._instances = self._by_sysid(self._how())
         self._running: dict[int, subprocess.Popen[bytes]] = {}
@@ -492,7 +490,8 @@ class SitlFleet:
                 yield from station.setting(vehicle, "px4", parameter, wanted[parameter.name])
 
     def _ended(self, instance: Instance, code: int) -> SitlError:
-        how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        killed = f"was killed by signal {-code} ({signal.strsignal(-code) or 'unknown'})"
+        how = killed if code < 0 else f"ended with exit code {code}"
         others = "; all others were stopped" if len(self._instances) > 1 else ""
         return SitlError(f"{instance.vehicle.name}: its simulator {how}: {_last_words(instance)}{others}")
 

@@ -408,6 +408,12 @@ def test_a_program_that_ends_is_told_with_its_last_words(tmp_path: Path, ports: 
     assert "boom" in log.read_text()
 
 
+def test_a_program_that_is_killed_is_told(tmp_path: Path, ports: None) -> None:
+    fleet = started(tmp_path, "kill -SEGV $$")
+    with pytest.raises(SitlError, match=r"killed by signal 11 \(Segmentation fault\)"), fleet:
+        fleet.start()
+
+
 def test_what_is_no_program_for_this_machine_is_told(tmp_path: Path, ports: None) -> None:
     fleet = started(tmp_path, "")
     (tmp_path / "arducopter").write_bytes(b"\x7fELF nonsense")
