@@ -490,8 +490,10 @@ class SitlFleet:
                 yield from station.setting(vehicle, "px4", parameter, wanted[parameter.name])
 
     def _ended(self, instance: Instance, code: int) -> SitlError:
-        killed = f"was killed by signal {-code} ({signal.strsignal(-code) or 'unknown'})"
-        how = killed if code < 0 else f"ended with exit code {code}"
+        if code < 0:
+            how = f"was killed by signal {-code} ({signal.strsignal(-code) or 'unknown'})"
+        else:
+            how = f"ended with exit code {code}"
         others = "; all others were stopped" if len(self._instances) > 1 else ""
         return SitlError(f"{instance.vehicle.name}: its simulator {how}: {_last_words(instance)}{others}")
 
