@@ -49,6 +49,7 @@ _LIMITS: dict[Autopilot, dict[str, _Limit]] = {
 }
 _EARTH_M = 6_371_000.0
 _CORNERS_MIN = 3
+_AT_ONCE = 2_000  # segments of a flight held against all edges: bounds memory
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +272,9 @@ class _Flight:
             else:
                 room_m = float(_point_distances(corners_m, lines_m).min()) - area.radius_m
         else:
-            room_m = float(_distances(lines_m, _segments(np.vstack([corners_m, corners_m[:1]]))).min())
+            edges_m = _segments(np.vstack([corners_m, corners_m[:1]]))
+            pieces = (lines_m[k : k + _AT_ONCE] for k in range(0, len(lines_m), _AT_ONCE))
+            room_m = min(float(_distances(piece_m, edges_m).min()) for piece_m in pieces)
             if _holds(corners_m, lines_m[0, 0]) != area.inclusion:
                 room_m = -room_m
         if room_m >= need_m:
@@ -330,6 +333,6 @@ def _holds(polygon: FloatArray, point: FloatArray) -> bool:
     """Return whether a polygon (K, 2) holds a point, by the edges that a ray from it crosses."""
     a, b = polygon, np.roll(polygon, -1, axis=0)
     above = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of edges that no ray crosses
         x = a[:, 0] + (point[1] - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
     return bool((above & (point[0] < x)).sum() % 2)
