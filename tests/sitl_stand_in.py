@@ -3,8 +3,8 @@
 It takes the same arguments and environment, refuses what the real ones refuse, blocks where they block, speaks on the
 same ports and leaves the same files; what flies is the built-in simulator. Beyond that it obeys STAND_IN_CRASH
 (``SYSID:SECONDS``: dies by itself, so long after it has begun), STAND_IN_PACE (``SYSID:FACTOR``: does not keep up with
-the speed-up, as on a busy computer), STAND_IN_GROUND (asks for terrain, and leaves what it
-was told in terrain.json) and, for PX4, the file ``etc/whole_degrees`` (its homes are in whole 1e-7 degrees).
+the speed-up, as on a busy computer) and, for PX4, files in etc: ``whole_degrees`` (homes are in 1e-7 degrees) and
+``no_environment`` (parameters are not taken from there).
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.endpoint import Address, Endpoint, UdpEndpoint, open_endpoint
+from adapters.endpoint import Address, Endpoint, Peer, UdpEndpoint, open_endpoint
 from missionplanner.autopilot_parameters import Kind, fields, find, with_values
-from missionplanner.geodesy import GeoPoint
+from missionplanner.geodesy import GeoPoint, LocalFrame
 from missionplanner.mission import VehicleSettings
 from missionplanner.vehicle import motion_model
 from sim.fleet import SimFleet, SimVehicle, serve
@@ -208,7 +208,9 @@ def _fly(kind: Kind, sysid: int, home: GeoPoint, parameters: Mapping[str, Any], 
     known = {name: value for name, value in parameters.items() if find(kind, name) is not None}
     values = {name: value for name, (_, value) in fields(kind, known).items()}
     motion = with_values(motion_model(VehicleSettings(autopilot=autopilot, vehicle_class=vehicle_class)), values)
-    fleet = SimFleet([SimVehicle(sysid, autopilot, vehicle_class, home, motion)], cold_start=True)
+    asking = _Asking(link, sysid, home)
+    ground = asking.ground_amsl_m if parameters.get("SIM_TERRAIN") else None
+    fleet = SimFleet([SimVehicle(sysid, autopilot, vehicle_class, home, motion)], ground=ground, cold_start=True)
     own = fleet.links[0].autopilot.parameters
     for name, value in parameters.items():
         if name in own:
@@ -217,12 +219,10 @@ def _fly(kind: Kind, sysid: int, home: GeoPoint, parameters: Mapping[str, Any], 
             own[name] = value
         elif autopilot == "ardupilot":
             print(f"Ignored unknown param {name} in defaults file")
-    fleet.attach(link)
+    fleet.attach(asking)
     crash_sysid, _, crash_s = os.environ.get("STAND_IN_CRASH", "").partition(":")
     pace_sysid, _, factor = os.environ.get("STAND_IN_PACE", "").partition(":")
     speedup *= float(factor) if pace_sysid == str(sysid) else 1.0
-    if "STAND_IN_GROUND" in os.environ:
-        _ask_for_ground(link, sysid, home)
 
     def crashes() -> bool:
         if crash_sysid != str(sysid) or fleet.now_s < float(crash_s):
@@ -236,19 +236,50 @@ def _fly(kind: Kind, sysid: int, home: GeoPoint, parameters: Mapping[str, Any], 
     serve(fleet, speedup, crashes)
 
 
-def _ask_for_ground(link: Endpoint, sysid: int, home: GeoPoint) -> None:
-    """Ask the ground station for the ground around home, and write down what it says."""
-    codec = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
-    request = mavlink.MAVLink_terrain_request_message(round(home.lat_deg * 1e7), round(home.lon_deg * 1e7), 30, 0b101)
-    link.send(bytes(request.pack(codec)))
-    told: dict[int, list[int]] = {}
-    while len(told) < 2:
-        for data, _ in link.receive():
-            for message in codec.parse_buffer(data) or ():
-                if message.get_type() == "TERRAIN_DATA":
-                    told[message.gridbit] = list(message.data)
-        time.sleep(0.01)
-    Path("terrain.json").write_text(json.dumps(told))
+class _Asking:
+    """A link on which the ground station is asked for the ground; what else arrives meanwhile is kept."""
+
+    def __init__(self, inner: Endpoint, sysid: int, home: GeoPoint) -> None:
+        self._inner = inner
+        self._codec = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
+        self._home = home
+        self._frame = LocalFrame(home.lat_deg, home.lon_deg)
+        self._arrived: list[tuple[bytes, Peer]] = []
+
+    @property
+    def url(self) -> str:
+        return self._inner.url
+
+    def receive(self) -> list[tuple[bytes, Peer]]:
+        arrived, self._arrived = self._arrived, []
+        return arrived + self._inner.receive()
+
+    def send(self, data: bytes, peer: Peer | None = None) -> None:
+        self._inner.send(data, peer)
+
+    def filenos(self) -> list[int]:
+        return self._inner.filenos()
+
+    def close(self) -> None:
+        self._inner.close()
+
+    def ground_amsl_m(self, x_m: float, y_m: float) -> float:
+        """Return how high the ground is: as far above or below home as the terrain says."""
+        return self._home.alt_amsl_m + self._told(x_m, y_m) - self._told(0.0, 0.0)
+
+    def _told(self, x_m: float, y_m: float) -> float:
+        place = self._frame.geo_point((x_m, y_m, 0.0))
+        lat, lon = round(place.lat_deg * 1e7), round(place.lon_deg * 1e7)
+        request = mavlink.MAVLink_terrain_request_message(lat, lon, 30, 1)
+        self._inner.send(bytes(request.pack(self._codec)))
+        while True:
+            pieces = self._inner.receive()
+            self._arrived += pieces
+            for data, _ in pieces:
+                for message in self._codec.parse_buffer(data) or ():
+                    if message.get_type() == "TERRAIN_DATA" and (message.lat, message.lon) == (lat, lon):
+                        return float(message.data[0])
+            time.sleep(0.001)
 
 
 def _fail(text: str, code: int) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import fcntl
-import json
 import signal
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from missionplanner.plan_folder import load_flight
 from tests.command_line import Cli, expect_refusal
 from tests.main_job import plan_into
 from tests.scenes import copter, hilly, mission_file, question, scene_of
@@ -128,17 +128,22 @@ def test_one_that_does_not_keep_pace_is_waited_for_and_told(
 
 
 @pytest.mark.slow
-def test_ground_is_told_to_who_asks(cli: Cli, programs: dict[str, Path], tmp_path: Path, ports: None) -> None:
+def test_over_a_hill_it_lands_where_the_mission_has_the_ground(
+    cli: Cli, programs: dict[str, Path], tmp_path: Path, ports: None
+) -> None:
     scene = scene_of(hilly(tmp_path), tmp_path)
-    plan_into(tmp_path / "plan", scene)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("STAND_IN_GROUND", "1")
-        cli("fly", tmp_path / "plan", "--sitl", f"ardupilot={programs['arducopter']}", "--speedup", SPEEDUP)
-    told = json.loads((tmp_path / "plan" / "sitl" / "alpha" / "terrain.json").read_text())
-    assert sorted(told) == ["0", "2"]
-    assert told["0"][0] == pytest.approx(scene.terrain.ground_amsl_m(-500.0, 0.0, "home"), abs=1.0)
-    defaults = (tmp_path / "plan" / "sitl" / "alpha" / "defaults.parm").read_text()
-    assert "SIM_TERRAIN 1" in defaults
+    plan = plan_into(tmp_path / "plan", scene)
+    goal_m = plan.vehicles[0].waypoints_m[-1]
+    ground_m = scene.terrain.ground_amsl_m(goal_m[0], goal_m[1], "goal")
+    assert abs(ground_m - plan.vehicles[0].home_m[2]) > 20.0
+    sitl = f"ardupilot={programs['arducopter']}"
+    done = cli("fly", tmp_path / "plan", "--sitl", sitl, "--speedup", SPEEDUP, "--json")
+    assert done.code == 0, done.err
+    flown = load_flight(tmp_path / "plan", plan)
+    assert flown is not None
+    (vehicle,) = flown.vehicles
+    assert vehicle.trajectory.position_m[-1] == pytest.approx([*goal_m[:2], ground_m], abs=2.0)
+    assert "SIM_TERRAIN 1" in (tmp_path / "plan" / "sitl" / "alpha" / "defaults.parm").read_text()
 
 
 @pytest.mark.slow
