@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -134,7 +135,7 @@ def parse_fault(text: str) -> tuple[int | None, Fault]:
         if kind == "reboot":
             times = 1.0
     if fault is None:
-        raise MissionError(f"fault: {rest!r} is none; {_forms()}")
+        raise MissionError(f"fault: {rest!r} is none; {_forms(rest)}")
     if fault.message is not None and fault.message not in _MESSAGES:
         raise MissionError(f"fault: expected the name of a MAVLink message, got {fault.message!r} in {text!r}")
     if fault.result > _RESULT_MAX:
@@ -161,11 +162,15 @@ def faults_of(texts: Iterable[str], sysids: Sequence[int]) -> dict[int, tuple[Fa
     return found
 
 
-def _forms() -> str:
+def _forms(words: str = "") -> str:
+    """Return what would be a fault: of QGroundControl's many names the nearest, or all there is room for."""
+    names = list(QGROUNDCONTROL_FAULTS)
+    if words.startswith("Fail"):
+        return f"QGroundControl's failure modes like it: {', '.join(get_close_matches(words, names, 8, 0.0))}"
     forms = ", ".join(form for _, form in _FORMS.values())
     return (
         f"faults are: {forms}, each with [once] [after SECONDS s] [for SECONDS s]; "
-        f"and QGroundControl's: {', '.join(QGROUNDCONTROL_FAULTS)}"
+        f"and QGroundControl's failure modes by their names, such as {names[0]} or {names[-1]}"
     )
 
 
