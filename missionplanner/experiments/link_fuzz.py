@@ -184,6 +184,10 @@ class Mutator:
             return int(_COMMANDS[rng.integers(len(_COMMANDS))])
         if count > 0:
             return [self._number(form) for _ in range(count)]
+        if name == "mission_type" and rng.random() < 0.7:
+            return _MISSION
+        if name in ("seq", "count", "start_index", "end_index") and rng.random() < 0.5:
+            return int(rng.integers(0, 4 * _ITEMS))
         return self._number(form)
 
     def _number(self, form: str) -> float | int:
@@ -582,7 +586,10 @@ def spoofed_uploads(uploads: int, frames_each: int, seed: int) -> dict[str, Any]
                 peer.check_transfer()
                 if upload.done:
                     break
-                station.send(peer, upload.poll(clock.now_s()))
+                messages = upload.poll(clock.now_s())
+                if any(isinstance(message, mavlink.MAVLink_mission_count_message) for message in messages):
+                    raise peer.error("the upload was ended, and begun anew")
+                station.send(peer, messages)
                 for _ in range(frames_each):
                     other.send(mutator.frame(*mutator.message(1, _MISSION_PROTOCOL), posing))
                     if posing != _STATION:  # to us, as from a stranger on our own link

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
+from itertools import zip_longest
 from pathlib import Path
 from statistics import median
 from typing import Any, get_args
@@ -67,32 +68,22 @@ def main(
     runs, frames = (min(runs, 4), min(frames, 10_000)) if quick else (runs, frames)
     compared = list(_LOSSES)[:1] if quick else list(_LOSSES)
     names: list[trials.Client] = [c for c in get_args(trials.Client) if c != "mavsdk" or trials.mavsdk_version()]
-    jobs = [
+    waiting = [
+        Job(
+            f"{client} {autopilot} {link}",
+            trials.clients,
+            {"client": client, "autopilot": autopilot, "link": link}
+            | {"items": items, "vehicles": at_once, "seed": seed},
+        )
+        for link in compared
+        for autopilot in AUTOPILOTS
+        for client in names
+    ]
+    computing = [
         *_upload_jobs(runs, items, seed),
         *(
-            Job(
-                f"{client} {autopilot} {link}",
-                trials.clients,
-                {
-                    "client": client,
-                    "autopilot": autopilot,
-                    "link": link,
-                    "items": items,
-                    "vehicles": at_once,
-                    "seed": seed,
-                },
-            )
-            for link in compared
-            for autopilot in AUTOPILOTS
-            for client in names
-        ),
-        *(
-            Job(
-                f"frames to {work.__name__} {k}",
-                work,
-                {"frames": min(_EPISODE, frames - k * _EPISODE), "seed": seed + k},
-            )
-            for k in range(-(-frames // _EPISODE))
+            Job(f"frames to {work.__name__} {k}", work, {"frames": min(_EPISODE, frames - first), "seed": seed + k})
+            for k, first in enumerate(range(0, frames, _EPISODE))
             for work in (link_fuzz.vehicles, link_fuzz.ground_station)
         ),
         Job(
@@ -101,6 +92,8 @@ def main(
             {"uploads": 8 if quick else _SPOOFED, "frames_each": _SPOOFED_FRAMES, "seed": seed},
         ),
     ]
+    # what only waits, in real time, beside what computes
+    jobs = [job for pair in zip_longest(waiting, computing) for job in pair if job is not None]
     settings = {"runs": runs, "frames": frames, "seed": seed, "items": items, "mavsdk": trials.mavsdk_version()}
     found = run(
         jobs,
