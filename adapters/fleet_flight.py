@@ -164,7 +164,7 @@ class FlightControl:
         except LinkError as error:
             raise LinkError(f"{error}; {self._stand_down()}") from error
         self._start_s = self._clock.now_s()
-        self._station.link.keep_to_routes()  # nobody who speaks in a vehicle's name ends the watch
+        self._station.begin_flight()
         for vehicle in self._vehicles.values():
             vehicle.recorder.start(self._start_s)
         try:

@@ -18,7 +18,7 @@ from adapters.endpoint import Endpoint
 from adapters.fleet_flight import FlightControl, ReadyProgress, WatchProgress
 from adapters.fleet_vehicle import FleetVehicle, Order, VehicleStatus
 from adapters.ground_station import ANSWER_S, Clock, Peer, Station, Steps, TransferProgress, WallClock
-from adapters.guards import breach, fence_limits, limit_breach
+from adapters.guards import Guard, breach, fence_limits, limit_breach
 from adapters.mavsdk_link import Mavsdk
 from adapters.mission_items import MissionItem, wire_to_degrees
 from adapters.mission_protocol import Party, what_is_sent
@@ -68,6 +68,11 @@ class FleetLink(FlightControl):
     def held(self) -> Mapping[int, tuple[MissionItem, ...]]:
         """The missions as the vehicles hold them, by sysid: what :meth:`verify` has read of those that passed it."""
         return {sysid: vehicle.held for sysid, vehicle in self._vehicles.items() if vehicle.held is not None}
+
+    @property
+    def guards(self) -> Mapping[int, Guard]:
+        """The fences and rally points that are sent, by sysid."""
+        return {sysid: vehicle.guard for sysid, vehicle in self._vehicles.items()}
 
     def connect(self, timeout_s: float = 30.0) -> None:
         """Wait until every vehicle of the plan is heard, and is what the plan takes it for.

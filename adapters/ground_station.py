@@ -329,6 +329,16 @@ class Station(Generic[AnyPeer]):
         while self.clock.now_s() < end_s:
             self.step()
 
+    def begin_flight(self) -> None:
+        """From now on, nobody who speaks in a vehicle's name ends the watch, and no requests for items are served.
+
+        Until then a vehicle may ask again for what it has; but another ground station with our ids, as most have the
+        same, may give it a mission of its own later, and must not get ours mixed in.
+        """
+        self.link.keep_to_routes()
+        for peer in self.peers.values():
+            peer.uploads.clear()
+
     def step(self) -> None:
         """Take in what has arrived, then wait a moment."""
         self.exchange()

@@ -316,7 +316,16 @@ def upload(
         _save_backup(link, backup)
         _transfer(link, scene, fleet_plan, unproven=unproven, via=via)
     if as_json:
-        missions = [{"sysid": sysid, "items": len(items), "verified": True} for sysid, items in link.items.items()]
+        missions = [
+            {
+                "sysid": sysid,
+                "items": len(items),
+                "fence_items": len(link.guards[sysid].fence),
+                "rally_points": len(link.guards[sysid].rally),
+                "verified": True,
+            }
+            for sysid, items in link.items.items()
+        ]
         print_json({"mission": fleet_plan.mission.name, "folder": str(folder), "vehicles": missions})
     else:
         for vehicle in fleet_plan.vehicles:

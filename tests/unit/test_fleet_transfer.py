@@ -442,3 +442,30 @@ def test_a_frame_that_comes_on_two_ways_is_of_one_autopilot() -> None:
             return [piece for piece in super().receive() for _ in range(2)]
 
     FleetLink(plan, [Doubled(ground)], LockstepClock(sim)).connect()
+
+
+def test_in_flight_no_mission_is_mixed_into_another_station_s() -> None:
+    """Most ground stations have our ids: requests for their items are heard by us, too."""
+    rig = Rig(small_fleet("px4", 1))
+    rig.upload()
+    rig.link.send_guards()
+    rig.link.start()
+    sent: list[str] = []
+
+    def spy(message: Any) -> Any:
+        sent.append(message.get_type())
+        return message
+
+    rig.pipes[0].up = spy
+    other = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    rig.pipes[0]._inner.send(mavlink.MAVLink_mission_count_message(1, 1, 5).pack(other))
+    rig.sim.advance(0.5)
+    rig.link._station.settle(1.0)
+    assert "MISSION_ITEM_INT" not in sent
+
+
+def test_an_armed_vehicle_is_not_restored(tmp_path: Path) -> None:
+    rig, vehicles = saved_fleet("ardupilot", tmp_path)
+    rig.link.start()
+    with pytest.raises(LinkError, match=r"uav1 .*is armed: land and disarm it first; nothing was restored"):
+        restore(vehicles, list(rig.pipes), rig.clock)
