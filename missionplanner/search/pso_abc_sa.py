@@ -4,8 +4,9 @@ The idea is the paper's (PAPER.md section 4): groups with three roles of bees, t
 acceptance. What each is made of has been chosen by measurement (``missionplanner experiment ablation``).
 
 *Groups.* The first population is dealt into groups that keep apart until ``apart`` of the budget is spent, and are one
-group from then on; there are the more of them, the more evaluations there are per dimension. Every group shrinks to its
-best few as the budget is spent (Tanabe & Fukunaga 2014, L-SHADE, doi:10.1109/CEC.2014.6900380).
+group from then on; there are the more of them, the more evaluations there are per squared dimension: in many dimensions
+one large group finds better than several small ones. Every group shrinks to its best few as the budget is spent
+(Tanabe & Fukunaga 2014, L-SHADE, doi:10.1109/CEC.2014.6900380).
 
 *Employed bees.* Each searches from its own source x (24, 30)::
 
@@ -28,8 +29,9 @@ the leader's that is better than all replaces the worst bee's source.
 
 *Scouts, annealed.* A leader that has been behind the bees for ``patience`` generations is judged by the Metropolis rule
 (32, 33): it flies on with probability ``exp(-rise / (T * spread))``, where T falls from 1 to 0 over the budget and
-``spread`` is the bees' median deviation of costs. Otherwise, and when its flight has come to rest, it is recalled, and
-a new one takes off as scout from where the bees are by then (26).
+``spread`` is the bees' median deviation of costs. Otherwise it is recalled, the bees are alone for half of what is
+left, and a new one takes off as scout from where they are by then (26). When a flight comes to rest, the next begins at
+once.
 """
 
 from __future__ import annotations
@@ -53,6 +55,7 @@ _TURN = 0.1  # how fast the share of blocks follows their success
 _HALF_LIFE = 30.0  # evaluations per dimension after which a gain counts half
 _FLIGHT = 7500.0  # evaluations that a leader shares with the bees, in up to 30 dimensions
 _BEES_LEAST = 8  # in a group, or there is one group less
+_ALONE = 0.5  # of what is left: bees without a leader after one was behind
 _LEADER_WIDTH = 0.5  # first step over the bees' standard deviation
 _LEADER_FIRST = 0.1  # of the box: where the bees have none
 
@@ -88,8 +91,8 @@ class PsoAbcSaSettings:
 
 
 def groups_for(dimensions: int, evaluations: int) -> int:
-    """Return how many groups there are: two for 333 evaluations per dimension, twice as many for four times those."""
-    return int(min(max(round(2.0 * math.sqrt(evaluations / (333.0 * dimensions))), 1), 12))
+    """Return how many groups there are: one for every 100 evaluations per squared dimension, up to twelve."""
+    return int(min(max(round(evaluations / (100.0 * dimensions**2)), 1), 12))
 
 
 def population_for(dimensions: int, evaluations: int) -> int:
@@ -172,14 +175,17 @@ class PsoAbcSa:
     def _judge(self, leader: _Leader) -> None:
         """Recall the leader when it rests, or when it is behind and the Metropolis rule says so."""
         self._behind = self._behind + 1 if leader.best_cost > self._bees.best_cost else 0
-        recalled = leader.rests
+        recalled = False
         if self._settings.scouts and self._behind > self._patience:
             temperature = (1.0 - self._progress) * spread(self._bees.cost) if self._settings.annealing else 0.0
             found, best = np.array([leader.best_cost]), np.array([self._bees.best_cost])
-            recalled |= not accepted(self._rng, found, best, temperature)[0]
+            recalled = not accepted(self._rng, found, best, temperature)[0]
             self._behind = 0
-        if recalled:
+        if leader.rests:
             self._leader, self._behind = self._bees.leader(), 0
+        elif recalled:
+            self._leader = None
+            self._take_off = self._used + _ALONE * (self._evaluations - self._used)
 
 
 class _Bees:

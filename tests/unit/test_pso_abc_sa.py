@@ -183,6 +183,29 @@ def test_hot_leaders_are_not_recalled(annealing: bool, recalls: bool) -> None:
     assert (search._leader is not leader) == recalls
 
 
+def test_bees_are_alone_for_half_of_what_is_left_after_a_recall() -> None:
+    rng = np.random.default_rng(5)
+    search = PsoAbcSa(rng.random((30, 3)), 6000, rng, PsoAbcSaSettings(annealing=False, groups=False))
+    search._used = 2000
+    search._bees.tell(np.linspace(0.0, 1.0, 30))
+    leader = search._leader = search._bees.leader()
+    leader.best_cost = 1.0
+    search._behind = 10**6
+    search._judge(leader)
+    search._used = 3999
+    search.ask()
+    assert search._leader is None
+    search._used = 4000
+    search.ask()
+    assert search._leader is not None
+
+
+def test_many_dimensions_are_searched_by_one_group() -> None:
+    assert [groups_for(30, n) for n in (2500, 10_000, 100_000)] == [1, 1, 1]
+    assert groups_for(6, 10_000) > 1
+    assert groups_for(2, 10_000) == 12
+
+
 def test_first_guesses_are_never_lost() -> None:
     guess = np.full((1, 8), 0.3)
 
