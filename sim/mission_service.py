@@ -130,6 +130,11 @@ class MissionService:
         return due_s
 
     @property
+    def transferring(self) -> bool:
+        """Whether a transfer is under way."""
+        return bool(self._uploads) or self._download is not None
+
+    @property
     def plan_ids(self) -> tuple[int, int, int]:
         """The opaque_id of mission, fence and rally points; 0 where the autopilot has none."""
         return self._plan_ids[_MISSION], self._plan_ids[_FENCE], self._plan_ids[_RALLY]
@@ -176,7 +181,7 @@ class MissionService:
     # -- upload -----------------------------------------------------------------------------------------------------
 
     def _open_all(self, partner: Partner, kind: int, message: Any, now_s: float) -> list[Outgoing]:
-        if self._rules.one_transfer and (self._download is not None or self._uploads):
+        if self._rules.one_transfer and self.transferring:
             return self._open_while_busy(partner, kind, now_s)
         if self._taken_by_another(partner, kind, now_s):
             return [self._ack(partner, self._rules.second_uploader_ack, kind)]
@@ -429,7 +434,7 @@ class MissionService:
     def _clear(self, partner: Partner, kind: int, message: Any, now_s: float) -> list[Outgoing]:
         del message
         kinds = list(self._stores) if kind == _ALL_TYPES else [kind]
-        if self._rules.one_transfer and (self._uploads or self._download is not None):
+        if self._rules.one_transfer and self.transferring:
             self._say(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN CLEAR CMD: Busy")
             return []
         if any(each in self._uploads for each in kinds) or (_MISSION in kinds and self._busy()):

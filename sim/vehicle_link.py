@@ -242,7 +242,13 @@ class VehicleLink:
         return _FAILED
 
     def _set_current(self, message: Any, link: Link, now_s: float) -> list[Outgoing]:
-        self.autopilot.set_current(message.seq, now_s)
+        one_transfer = self.autopilot.personality.transfer.one_transfer
+        if one_transfer and self.missions.transferring:
+            self._texts.append(Said(mavlink.MAV_SEVERITY_CRITICAL, "WPM: IGN WP CURR CMD: Busy"))
+            return []
+        if not self.autopilot.set_current(message.seq, now_s) and one_transfer:
+            self._texts.append(Said(mavlink.MAV_SEVERITY_CRITICAL, "WPM: WP CURR CMD: Not in list"))
+            return []
         reply = self.telemetry.build(mavlink.MAVLINK_MSG_ID_MISSION_CURRENT, now_s)
         return [(link, reply)]
 

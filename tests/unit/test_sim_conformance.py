@@ -268,6 +268,25 @@ ROWS = [
         [("MISSION_COUNT", 0)],
     ),
     Row("a type that there is not: 3", (sent(count(1, 9)),), [UNSUPPORTED], [UNSUPPORTED]),
+    # set current
+    Row(
+        "MISSION_SET_CURRENT is answered by MISSION_CURRENT",
+        (uploaded(), sent(mavlink.MAVLink_mission_set_current_message(1, 1, 2))),
+        [("MISSION_CURRENT", 2)],
+        [("MISSION_CURRENT", 2)],
+    ),
+    Row(
+        "an item that there is not: PX4 says so",
+        (uploaded(), sent(mavlink.MAVLink_mission_set_current_message(1, 1, 9)), told()),
+        None,
+        ["WPM: WP CURR CMD: Not in list"],
+    ),
+    Row(
+        "PX4 heeds it only when no transfer is under way",
+        (uploaded(), sent(count(2), mavlink.MAVLink_mission_set_current_message(1, 1, 2)), told()),
+        None,
+        ["WPM: IGN WP CURR CMD: Busy"],
+    ),
     # downloads
     Row("measured: ArduPilot's seq 0 is home, always readable", (sent(wanted(0)),), [("MISSION_ITEM_INT", 0)], []),
     Row(
