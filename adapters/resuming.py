@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.certificates import Held, read_files, sortie, with_return_heights
@@ -150,7 +151,8 @@ def resume_file(
     if not legs or held.items[at].command != WAYPOINT:
         known = ", ".join(str(leg.seq) for leg in flown.legs[1:] if held.items[leg.seq].command == WAYPOINT)
         raise MissionError(f"{path}: expected a waypoint after the take-off at item {at}, got another: {known} are")
-    back = way_to(alone, folder, name, flown.home_m, legs[0].end_m, seed=seed, watch=watch)
+    rest_m = np.array([leg.end_m for leg in flown.legs if leg.seq >= at])
+    back = way_to(alone, folder, name, flown.home_m, rest_m, flown.ending, seed=seed, watch=watch)
     *way, _goal, _ending = plan_items(back, scene.frame)  # the goal is the item itself
     whole = [*way, *in_force(held.items, at), *held.items[at:]]
     items = tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(whole))

@@ -20,6 +20,7 @@ from missionplanner.plan import FleetPlan, VehiclePlan
 from missionplanner.planner import Watch
 from missionplanner.scene import Scene, build_scene
 from missionplanner.vehicle import Ending
+from missionplanner.waypoints import passes
 
 _NAME_MAX = 40
 
@@ -66,7 +67,7 @@ def resume(
     if not 1 <= waypoint < len(vehicle.waypoints_m):
         raise MissionError(f"{name}: expected a waypoint from 1 to {len(vehicle.waypoints_m) - 1}, got {waypoint}")
     rest_m = vehicle.waypoints_m[waypoint:]
-    back = way_to(scene.mission, folder, name, vehicle.home_m, rest_m[0], seed=seed, watch=watch)
+    back = way_to(scene.mission, folder, name, vehicle.home_m, rest_m, vehicle.end, seed=seed, watch=watch)
     whole = build_scene(_alone(scene.mission, name, vehicle.home_m, rest_m, vehicle.end), folder)
     begins = int(np.argmin(np.linalg.norm(vehicle.path_m - rest_m[0], axis=1)))
     path_m = np.vstack([back.path_m, vehicle.path_m[begins + 1 :]])
@@ -91,7 +92,9 @@ def resume(
     found = proof.checked(whole, assembled(whole))
     assert found.certificate is not None
     if not found.certificate.proven:
-        raise InfeasibleError(f"{name}, resumed at waypoint {waypoint}: not proven: {found.certificate.refusal}")
+        raise InfeasibleError(
+            f"{name}: not proven: {found.certificate.refusal}; resume from the waypoint before or after instead"
+        )
     return whole, found
 
 
@@ -100,20 +103,42 @@ def way_to(
     folder: Path,
     name: str,
     home_m: FloatArray,
-    place_m: FloatArray,
+    rest_m: FloatArray,
+    end: Ending,
     *,
     seed: int | None = None,
     watch: Watch | None = None,
 ) -> VehiclePlan:
-    """Return a proven plan for a mission's vehicle that flies from a home (3,) to a place in the air, and stays there.
+    """Return a mission's vehicle on a clear way from a home (3,) to the first of the places (P, 3) of its rest.
+
+    A plane cannot stop there: its way is planned on through the rest to its end, so that it turns towards that.
 
     Raises
     ------
     InfeasibleError
         There is none.
     """
-    scene = build_scene(_alone(question, name, home_m, place_m[None, :], "loiter"), folder)
-    return planner.plan_fleet(scene, seed=seed, watch=watch).vehicles[0]
+    asked = next(v for v in question.vehicles if v.name == name)
+    places_m, ends = (rest_m, end) if asked.vehicle_class == "plane" else (rest_m[:1], "loiter")
+    try:
+        scene = build_scene(_alone(question, name, home_m, places_m, ends), folder)
+        found = planner.plan_fleet(scene, seed=seed, watch=watch).vehicles[0]
+    except (MissionError, InfeasibleError) as error:  # it speaks of a mission that the user has not written
+        raise InfeasibleError(
+            f"{name}: no way from home to where it is to go on was found: resume from the waypoint before or after "
+            f"({error})"
+        ) from error
+    route_m = scene.tasks[0].route_m
+    there = passes(route_m, found.waypoints_m)[len(route_m) - len(places_m)]
+    samples = int(np.argmin(np.linalg.norm(found.path_m - rest_m[0], axis=1))) + 1
+    return replace(
+        found,
+        path_m=found.path_m[:samples],
+        waypoints_m=found.waypoints_m[: there + 1],
+        speeds_m_s=found.speeds_m_s[:there],
+        hold_s=found.hold_s[:there],
+        end="loiter",
+    )
 
 
 def _alone(question: Mission, name: str, home_m: FloatArray, places_m: FloatArray, end: Ending) -> Mission:

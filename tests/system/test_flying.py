@@ -15,12 +15,17 @@ import pytest
 
 from adapters.mission_items import CHANGE_SPEED, TAKEOFF, WAYPOINT
 from adapters.waypoints_file import read_waypoints
+from missionplanner.flight_check import check_flight
 from missionplanner.plan_folder import load_plan
+from missionplanner.planner import plan_fleet
 from missionplanner.proof import planned_sortie, predict
+from missionplanner.resuming import resume
 from sim.fleet import SimFleet, planned_vehicles
 from tests.command_line import Cli, expect_refusal
-from tests.main_job import load_scene, mission_path, plan_into
+from tests.main_job import fly, load_scene, mission_path, plan_into
+from tests.scenes import scene_of
 from tests.system.test_check import flown_by
+from tests.system.test_planes import _mission as plane_mission
 
 
 @pytest.fixture(scope="module")
@@ -170,3 +175,14 @@ def test_keys_at_a_real_terminal(planned: Path, tmp_path: Path) -> None:
     orders = json.loads((copy / "flight.json").read_text())["orders"]
     assert [order["order"] for order in orders] == ["pause"] * 2 + ["resume"] * 2 + ["rtl"] * 2
     assert {order["result"] for order in orders} == {"obeyed"}
+
+
+def test_a_plane_goes_on_where_it_cannot_circle(tmp_path: Path) -> None:
+    scene = scene_of(plane_mission())
+    plan = plan_fleet(scene, seed=1)
+    whole, rest = resume(scene, plan, tmp_path, "p2", 5)
+    kept = len(plan.vehicles[1].waypoints_m) - 5
+    np.testing.assert_allclose(rest.vehicles[0].waypoints_m[-kept:], plan.vehicles[1].waypoints_m[-kept:], atol=0.01)
+    flight = fly(whole, rest)
+    assert check_flight(whole, rest, flight).ok
+    assert flight.vehicles[0].arrival_s == pytest.approx(rest.vehicles[0].arrival_s, abs=0.1)
