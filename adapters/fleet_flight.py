@@ -489,9 +489,12 @@ class FlightControl:
     def _pausing(self, vehicle: FleetVehicle) -> Waiting[tuple[OrderResult, str]]:
         """Stop a vehicle: an ArduCopter on its leg, in its mission; others where they come to stand or circle.
 
-        The former is ModeAuto::pause, since ArduCopter 4.2; it is refused where the leg cannot be paused.
+        The former is ArduCopter's ModeAuto::pause, since 4.2: along its leg; refused while it takes off or lands, and
+        by some versions when it stands already.
         """
         if self._stops_in_mission(vehicle):
+            if vehicle.paused:
+                return "obeyed", f"stands on its way, {vehicle.where}"
             result = yield from self._commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
             if result == mavlink.MAV_RESULT_ACCEPTED:
                 end_s = self._clock.now_s() + _STANDS_S
@@ -525,8 +528,12 @@ class FlightControl:
             if not self._stops_in_mission(vehicle):
                 return "obeyed", f"flies its mission, {vehicle.where}"
             result = yield from self._commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
-            if result != mavlink.MAV_RESULT_ACCEPTED and vehicle.order == "pause":
-                return "refused", f"was told to resume, and refused{vehicle.said(self._clock.now_s())}"
+            end_s = self._clock.now_s() + _SEEN_S
+            while vehicle.paused and self._clock.now_s() < end_s:
+                yield
+            if vehicle.paused:
+                did = "accepted" if result == mavlink.MAV_RESULT_ACCEPTED else "refused"
+                return "refused", f"was told to resume, {did}, and still stands{vehicle.said(self._clock.now_s())}"
             self._flies_on(vehicle)
             return "obeyed", f"goes on, {vehicle.where}"
         item = vehicle.left_item

@@ -363,3 +363,45 @@ def test_who_is_not_heard_when_the_watch_ends_is_not_said_to_fly_on() -> None:
     rig.link._station.settle(20.0)
     (words,) = rig.link.standing()
     assert "when it was last heard, 20 s ago: what it does now is not known" in words
+
+
+def test_who_stands_already_is_left_standing_and_who_flies_already_is_left_flying() -> None:
+    """Some versions of ArduCopter refuse a second pause, and a resume that nothing was paused before."""
+    rig = started(long_legs("ardupilot", 1))
+    autopilot = rig.sim.links[0].autopilot
+    pause, unpause = autopilot.pause, autopilot.unpause
+    failed = int(mavlink.MAV_RESULT_FAILED)
+    autopilot.pause = lambda now_s: failed if autopilot.paused else pause(now_s)  # type: ignore[method-assign]
+    autopilot.unpause = lambda now_s: unpause(now_s) if autopilot.paused else failed  # type: ignore[method-assign]
+    times = ((40.0, "pause"), (52.0, "pause"), (56.0, "resume"), (62.0, "resume"))
+    script = Script(rig, *((at_s, order, ()) for at_s, order in times))  # type: ignore[arg-type]
+    flight = rig.link.watch(helm=script)
+    assert [outcomes[0].result for outcomes in script.answers] == ["obeyed"] * 4
+    assert "stands on its way" in script.answers[1][0].words
+    assert flight.vehicles[0].landed_s is not None
+
+
+def test_a_resume_that_is_accepted_and_not_followed_is_no_success() -> None:
+    rig = started(long_legs("ardupilot", 1))
+    autopilot = rig.sim.links[0].autopilot
+    rig.sim.advance(40.0)
+    assert rig.link.order("pause")[0].result == "obeyed"
+    unpause = autopilot.unpause
+    autopilot.unpause = lambda _now_s: int(mavlink.MAV_RESULT_ACCEPTED)  # type: ignore[method-assign]
+    (outcome,) = rig.link.order("resume")
+    assert outcome.result == "refused"
+    assert "accepted, and still stands" in outcome.words
+    autopilot.unpause = unpause  # type: ignore[method-assign]
+    assert rig.link.order("resume")[0].result == "obeyed"
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_take_off_is_paused_and_resumed(autopilot: Autopilot) -> None:
+    rig = started(long_legs(autopilot, 1))
+    script = Script(rig, (5.0, "pause", ()), (30.0, "resume", ()))
+    flight = rig.link.watch(helm=script)
+    assert [outcomes[0].result for outcomes in script.answers] == ["obeyed"] * 2
+    track = flight.vehicles[0].trajectory
+    assert 1201.0 < float(track.at(25.0)[2]) < 1224.0
+    assert np.linalg.norm(track.at(20.0) - track.at(28.0)) < 0.3
+    assert flight.vehicles[0].arrival_s is not None
