@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.fleet_flight import Request
@@ -18,6 +21,7 @@ from missionplanner.errors import LinkError
 from missionplanner.pacing import Pacer, Rules
 from missionplanner.plan import FleetPlan, Ordered
 from missionplanner.vehicle import Autopilot
+from sim.personality import Behaviour
 from tests.plans import fleet_plan, small_fleet, vehicle_plan
 from tests.rig import Rig
 from tests.unit.test_pace_keeper import courses
@@ -405,3 +409,59 @@ def test_a_take_off_is_paused_and_resumed(autopilot: Autopilot) -> None:
     assert 1201.0 < float(track.at(25.0)[2]) < 1224.0
     assert np.linalg.norm(track.at(20.0) - track.at(28.0)) < 0.3
     assert flight.vehicles[0].arrival_s is not None
+
+
+@settings(max_examples=12, deadline=None, derandomize=True)
+@given(
+    autopilot=st.sampled_from(["ardupilot", "px4"]),
+    orders=st.lists(
+        st.tuples(
+            st.floats(6.0, 25.0),
+            st.sampled_from(["pause", "resume", "rtl", "land"]),
+            st.sampled_from([(), ("uav1",), ("uav2",)]),
+        ),
+        min_size=1,
+        max_size=5,
+    ),
+)
+def test_whatever_is_ordered_is_answered_truly(
+    autopilot: Autopilot, orders: list[tuple[float, Order, tuple[str, ...]]]
+) -> None:
+    """Each vehicle does what it obeyed last, and no order crosses to another vehicle."""
+    rig = started(long_legs(autopilot))
+    at_s, steps = 4.0, []
+    for after_s, order, names in orders:
+        at_s += after_s
+        steps.append((at_s, order, names))
+
+    class Ending(Script):
+        """Leaves when all that was ordered has been answered, and had time to show."""
+
+        def request(self) -> Request | None:
+            done = len(self.answers) == len(steps)
+            if done and self._rig.clock.now_s() - self._begun_s > steps[-1][0] + 12.0:
+                raise KeyboardInterrupt
+            return super().request()
+
+    script = Ending(rig, *steps)
+    with contextlib.suppress(KeyboardInterrupt):  # all may have landed before
+        rig.link.watch(helm=script)
+    asked = [names or ("uav1", "uav2") for _, _, names in steps]
+    assert [tuple(o.vehicle for o in outcomes) for outcomes in script.answers] == asked[: len(script.answers)]
+    for name, link in zip(("uav1", "uav2"), rig.sim.links, strict=True):
+        last = "resume"  # it flies its mission
+        for outcomes in script.answers:
+            for outcome in outcomes:
+                assert outcome.result in ("obeyed", "refused", "grounded")
+                if outcome.vehicle == name and outcome.result == "obeyed":
+                    last = outcome.order
+        vehicle = link.autopilot
+        if vehicle.landed:
+            continue
+        doing = {"pause": Behaviour.HOLD, "resume": Behaviour.AUTO, "rtl": Behaviour.RTL, "land": Behaviour.LAND}[last]
+        stands = last == "pause" and vehicle.paused
+        assert stands or vehicle.mode.behaviour in (doing, Behaviour.GUIDED if last == "pause" else doing), (name, last)
+        if last == "pause":
+            before_m = vehicle.position_m
+            rig.sim.advance(3.0)
+            assert np.linalg.norm(vehicle.position_m - before_m) < 0.5
