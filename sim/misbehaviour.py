@@ -44,7 +44,10 @@ class Fault:
     result: int = int(mavlink.MAV_MISSION_ERROR)
 
 
-_MESSAGES = frozenset(kind.msgname for kind in mavlink.mavlink_map.values()) | {"MISSION_ITEM", "MISSION_REQUEST"}
+_FIELDS: Mapping[str, frozenset[str]] = MappingProxyType(
+    {kind.msgname: frozenset(kind.fieldnames) for kind in mavlink.mavlink_map.values()}
+)
+_NUMBERS = ("seq", "command", "param_index")  # what "item N" means of a message, whichever it has first
 _NAME = r"(?P<message>[A-Z][A-Z0-9_]*)"
 _ITEM = r"(?: item (?P<item>\d+))?"
 _RESULT = r"(?: (?P<result>\d+))?"
@@ -136,12 +139,23 @@ def parse_fault(text: str) -> tuple[int | None, Fault]:
             times = 1.0
     if fault is None:
         raise MissionError(f"fault: {rest!r} is none; {_forms(rest)}")
-    if fault.message is not None and fault.message not in _MESSAGES:
-        raise MissionError(f"fault: expected the name of a MAVLink message, got {fault.message!r} in {text!r}")
+    if fault.message is not None:
+        _check_message(fault, text)
     if fault.result > _RESULT_MAX:
         raise MissionError(f"fault: expected a MAV_MISSION_RESULT from 0 to {_RESULT_MAX}, got {text!r}")
     sysid = None if head["sysid"] is None else int(head["sysid"])
     return sysid, replace(fault, times=min(fault.times, times), after_s=after_s, for_s=for_s)
+
+
+def _check_message(fault: Fault, text: str) -> None:
+    """Refuse a fault that would never strike."""
+    fields = _FIELDS.get(str(fault.message))
+    if fields is None:
+        raise MissionError(f"fault: expected the name of a MAVLink message, got {fault.message!r} in {text!r}")
+    if fault.item is not None and fields.isdisjoint(_NUMBERS):
+        raise MissionError(f"fault: expected no number after {fault.message}, which is about no item, got {text!r}")
+    if fault.kind == "wrong" and fault.message not in ("MISSION_ACK", "COMMAND_ACK") and "seq" not in fields:
+        raise MissionError(f"fault: expected a message with a seq, or an acknowledgement, to be wrong, got {text!r}")
 
 
 def faults_of(texts: Iterable[str], sysids: Sequence[int]) -> dict[int, tuple[Fault, ...]]:
@@ -253,14 +267,15 @@ class MisbehavingLink(VehicleLink):
         """Whether the vehicle reboots instead of asking for an item, or falls silent."""
         for armed in self._faults:
             fault = armed.fault
-            at_item = fault.item is not None and _strikes(replace(fault, message="MISSION_REQUEST"), message)
-            if not at_item or armed.left <= 0 or now_s < fault.after_s:
+            if fault.kind not in ("reboot", "silent") or fault.item is None or armed.left <= 0 or now_s < fault.after_s:
+                continue
+            if not _strikes(replace(fault, message="MISSION_REQUEST"), message):
                 continue
             if fault.kind == "reboot":
                 armed.left -= 1
                 self.reboot(now_s)
                 return True
-            if fault.kind == "silent" and armed.until_s == -math.inf:
+            if armed.until_s == -math.inf:
                 armed.until_s = now_s + fault.for_s
         return False
 
@@ -278,9 +293,7 @@ class MisbehavingLink(VehicleLink):
         if name == "COMMAND_ACK":
             message.result = mavlink.MAV_RESULT_UNSUPPORTED
             return message
-        if not hasattr(message, "seq"):
-            return message
-        message.seq += 1
+        message.seq = (message.seq + 1) % 65_536
         held = self.missions.items(message.mission_type) if name.startswith("MISSION_ITEM") else ()
         if message.seq < len(held):
             item = held[message.seq]
@@ -320,6 +333,6 @@ def _about(fault: Fault, name: str) -> bool:
 
 def _strikes(fault: Fault, message: Any) -> bool:
     """Whether a fault is about this outgoing message."""
-    numbers = (getattr(message, name, None) for name in ("seq", "command", "param_index"))
+    numbers = (getattr(message, name, None) for name in _NUMBERS)
     number = next((n for n in numbers if n is not None), None)
     return _about(fault, message.get_type()) and fault.item in (None, number)

@@ -186,6 +186,8 @@ def test_faults_are_read(text: str, sysid: int | None, fault: Fault) -> None:
         ("vehicle 2: explode", r"'explode' is none; faults are: .*deaf \[to MESSAGE\].*FailReadRequestListNoResponse"),
         ("vehicle 2: FailReadRequest0", r"'FailReadRequest0' is none; .* like it: FailReadRequest0"),
         ("vehicle 2: no MISSION_ITEMS", r"expected the name of a MAVLink message, got 'MISSION_ITEMS'"),
+        ("vehicle 2: no HEARTBEAT item 3", r"expected no number after HEARTBEAT"),
+        ("vehicle 2: wrong HEARTBEAT", r"expected a message with a seq, or an acknowledgement"),
         ("vehicle 2: error 99 instead of MISSION_REQUEST", r"expected a MAV_MISSION_RESULT from 0 to 15"),
         ("vehicle 2: silent after 1.2.3 s", r"expected seconds as a number"),
         ("vehicle 9: reboot", r"expected a vehicle from 1 to 3, got 'vehicle 9: reboot'"),
