@@ -6,8 +6,10 @@ each vehicle's frames go to it alone. It is an optional dependency, and works in
 
 from __future__ import annotations
 
+import logging
 import queue
 from collections.abc import Sequence
+from functools import cache
 from types import TracebackType
 from typing import Any
 
@@ -19,6 +21,21 @@ from missionplanner.errors import MissionError
 
 _FOUND_S = 15.0  # until MAVSDK knows a vehicle that we know
 _UPLOADED_S = 600.0
+
+
+logger = logging.getLogger(__name__)
+
+
+@cache  # told twice, it would forget whom its threads still tell
+def _listen_to_its_log() -> None:
+    """Take what it says of itself into our log, instead of letting it write to the terminal."""
+    import mavsdk  # noqa: PLC0415
+
+    def take(level: Any, text: str, file: str | None, line: int) -> bool:
+        logger.debug("%s: %s (%s:%s)", level.name, text, file, line)
+        return True
+
+    mavsdk.log_subscribe(take)
 
 
 class Mavsdk:
@@ -39,6 +56,7 @@ class Mavsdk:
                 f"--via mavsdk: expected the package mavsdk, got: {error}; pip install 'missionplanner[mavsdk]', or "
                 "leave --via out"
             ) from error
+        _listen_to_its_log()
         self._station = station
         self._plugin: Any = mission_raw
         self._said: queue.SimpleQueue[bytes] = queue.SimpleQueue()  # from its threads
