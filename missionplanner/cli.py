@@ -377,7 +377,10 @@ def fly(
     signing_key: SigningKey = None,
     as_json: AsJson = False,
 ) -> None:
-    """Plan if need be, upload, prove what the vehicles hold, start together, fly, keep together, and report."""
+    """Plan if need be, upload, prove what the vehicles hold, start together, fly, keep together, and report.
+
+    While they fly, keys pause (p), continue (c), return (R) or land (L) all; Ctrl-C asks what they shall do.
+    """
     from adapters.sitl import SitlFleet
     from adapters.sitl_instances import sitl_programs
     from missionplanner.flight_check import check_flight
