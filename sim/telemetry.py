@@ -24,6 +24,7 @@ HOME_POSITION = int(mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 GLOBAL_POSITION_INT = int(mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT)
 SYS_STATUS = int(mavlink.MAVLINK_MSG_ID_SYS_STATUS)
 
+_INTERVAL_MAX_US = 2**31 - 1  # as MESSAGE_INTERVAL can say it
 _MAX_UINT16 = 65_535
 _BATTERY_CELLS = 4
 _BATTERY_FULL_MV = 16_800
@@ -235,7 +236,9 @@ class Telemetry:
         message = self._messages.get(message_id)
         if message is None:
             return None
-        return round(message.interval_s * 1e6) if math.isfinite(message.interval_s) else -1
+        if not math.isfinite(message.interval_s):
+            return -1
+        return min(round(message.interval_s * 1e6), _INTERVAL_MAX_US)
 
     def set_stream(self, stream: int, rate_hz: int, on: bool, now_s: float) -> None:
         """Obey REQUEST_DATA_STREAM."""

@@ -45,6 +45,7 @@ _CORPUS_MAX = 2_000
 _DAMAGED_SHARE = 0.25
 _RECORDED_MAX = 40  # of every message
 _ITEMS = 12
+_LONGEST = 300  # bytes: no frame is longer
 _SIZES = {"uint8_t": (1, False), "int8_t": (1, True), "uint16_t": (2, False), "int16_t": (2, True)} | {
     "uint32_t": (4, False),
     "int32_t": (4, True),
@@ -247,7 +248,7 @@ def state(thing: object, skipped: Sequence[type] = ()) -> list[object]:
         here = todo.pop()
         if here is None or isinstance(here, bool | int | str | bytes | Enum):
             found.append(here)
-        elif isinstance(here, float):
+        elif isinstance(here, float | np.generic):
             found.append(repr(here))
         elif isinstance(here, np.ndarray):
             found.append(here.tobytes())
@@ -404,7 +405,7 @@ def vehicles(frames: int, seed: int) -> dict[str, Any]:
         result.batches += bool(others)
         if settled_mb == 0.0 and result.frames > frames // 5:
             settled_mb = _memory_mb()
-    result.memory_mb = _memory_mb() - settled_mb
+    result.memory_mb = _memory_mb() - settled_mb if settled_mb else 0.0
     result.corpus, result.lines = mutator.found, len(tracer.reached)
     return result.as_json()
 
@@ -432,10 +433,9 @@ def _is_for(message: Message, sysid: int) -> bool:
 
 
 def _vehicle_state(fleet: SimFleet, i: int) -> list[object]:
-    navigator = fleet.navigator
-    count = len(fleet.links)
-    rows = [value for value in vars(navigator).values() if isinstance(value, np.ndarray | list) and len(value) == count]
-    return [*state(fleet.links[i], (type(navigator),)), *state([row[i] for row in rows])]
+    navigator = fleet.navigator  # its routes are stored together, and take more room for all when one is longer
+    row = [getattr(navigator, name)[i] for name in ("position_m", "velocity_m_s", "waypoint", "finished")]
+    return [*state(fleet.links[i], (type(navigator),)), *state(row)]
 
 
 def _parser() -> Any:
@@ -477,6 +477,8 @@ def ground_station(frames: int, seed: int) -> dict[str, Any]:
             mutator.frame(kind, values, own if rng.random() < 0.8 else mutator.source(own)) for kind, values in made
         ]
         parser = _parser()
+        # what a damaged frame has begun ends here, in our parser as in that of the link
+        pieces.append(bytes(_LONGEST))
         heard = [m for piece in pieces for m in parser.parse_buffer(piece) or () if m.get_type() != "BAD_DATA"]
         others = [sysid for sysid in sysids if not any(m.get_srcSystem() == sysid for m in heard)]
         before = {sysid: state(peers[sysid]) for sysid in others}
@@ -484,8 +486,6 @@ def ground_station(frames: int, seed: int) -> dict[str, Any]:
         def feed() -> None:
             for piece in pieces:  # noqa: B023
                 pipes[speaker][1].send(piece)  # noqa: B023
-            # what a damaged frame has begun ends here: the parser of the link must be where ours is
-            pipes[speaker][1].send(bytes(300))  # noqa: B023
             try:
                 station.exchange()
             except LinkError:
@@ -512,7 +512,7 @@ def ground_station(frames: int, seed: int) -> dict[str, Any]:
         result.batches += bool(others)
         if settled_mb == 0.0 and result.frames > frames // 5:
             settled_mb = _memory_mb()
-    result.memory_mb = _memory_mb() - settled_mb
+    result.memory_mb = _memory_mb() - settled_mb if settled_mb else 0.0
     result.corpus, result.lines = mutator.found, len(tracer.reached)
     return result.as_json()
 
