@@ -21,6 +21,7 @@ from missionplanner.experiments import link_fuzz, link_loads, link_trials, links
 from missionplanner.vehicle import Autopilot
 from sim.mission_service import MissionService
 from sim.vehicle_link import VehicleLink
+from tests.simulated import Ground, of_type
 
 BOTH = pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 
@@ -134,6 +135,13 @@ def test_frames_are_of_all_kinds_most_of_them_valid(traffic: list[Any]) -> None:
     numbers = [m.param1 for m in heard if m.get_type() == "COMMAND_LONG"]
     assert any(np.isnan(numbers))
     assert any(np.isinf(numbers))
+
+
+def test_an_interval_longer_than_its_field_is_told_as_the_longest() -> None:
+    ground = Ground("px4")
+    ground.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, 3e38)
+    ground.command(mavlink.MAV_CMD_GET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT)
+    assert of_type(ground.heard, "MESSAGE_INTERVAL")[-1].interval_us == 2**31 - 1
 
 
 def test_vehicles_bear_mutated_frames() -> None:
