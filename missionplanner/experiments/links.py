@@ -243,8 +243,8 @@ def report(figures: Mapping[str, Any]) -> str:
         _telemetry_table(figures["telemetry"]),
         "## Frames that nobody should believe",
         "Recorded traffic, mutated by what fields mean (ids, sequence numbers, enumerations, numbers that are "
-        "none) and by bits, any other message of the dialect, cut and foreign bytes. The first 2 % of each 50,000 "
-        "run under a tracer; what reaches new lines is mutated further. In every batch, the whole state of all "
+        "none) and by bits, any other message of the dialect, cut and foreign bytes. The first 2 % of each run go "
+        "under a tracer; what reaches new lines is mutated further. In every batch, the whole state of all "
         "whom no frame was for is compared before and after. Memory is what a process grew by after a fifth of its "
         "frames, at most.",
         _frames_table(frames),
