@@ -339,9 +339,10 @@ def _drawn(figures: Mapping[str, Any]) -> Figure:
             well = [r for r in found if r["verified_s"] is not None]
             times.plot([_LOSSES[r["link"]] for r in well], [r["verified_s"] for r in well], style, color=colour)
         share.set(title=autopilot, ylim=(-5.0, 105.0))
-        times.set(xlabel="frames lost each way, %", ylim=(0.0, None))
+        times.set(xlabel="frames lost each way, %")
         for ax in (share, times):
             ax.grid(True, alpha=0.4)
+    axes[1, 0].set_ylim(bottom=0.0)  # of both: they share it
     axes[0, 0].set_ylabel("verified, %")
     axes[1, 0].set_ylabel("until verified, median, s")
     axes[0, 0].legend(fontsize=7.5, loc="center left")
