@@ -49,6 +49,10 @@ app = typer.Typer(
 )
 app.add_typer(experiment_commands.app, name="experiment")
 FILES, LOGS, SITL = "files", "logs", "sitl"
+_BUSY = (
+    "expected a plan folder that nobody else uses, got one in which another plan, upload or fly is at work: wait for "
+    "its end, or copy the folder"
+)
 MERGED = "fleet.tlog"
 
 MissionFile = Annotated[Path, typer.Argument(metavar="MISSION", help="mission file (YAML)")]
@@ -128,9 +132,13 @@ def plan(
     as_json: AsJson = False,
 ) -> None:
     """Plan a mission, prove it, and write plan.json, certificate.json and the files for ground stations."""
+    from missionplanner.files import alone, ensure_writable
+
     scene = _scene(mission, algorithm)
     folder = output or _default_folder(scene)
-    fleet_plan = _plan(scene, folder, seed, within)
+    ensure_writable(folder)
+    with alone(folder, _BUSY):
+        fleet_plan = _plan(scene, folder, seed, within)
     _show(fleet_plan, folder, as_json)
 
 
@@ -311,8 +319,10 @@ def upload(
 ) -> None:
     """Upload a plan that is proven, read it back, prove what the vehicles hold; nothing is armed."""
     _expect_no_backup(backup)
-    scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
-    with _ground_station(scene, fleet_plan, folder, connect, None, signing_key, unproven=unproven) as link:
+    with (
+        _proven_plan(target, output, seed, unproven=unproven) as (scene, fleet_plan, folder),
+        _ground_station(scene, fleet_plan, folder, connect, None, signing_key, unproven=unproven) as link,
+    ):
         _save_backup(link, backup)
         _transfer(link, scene, fleet_plan, unproven=unproven, via=via)
     if as_json:
@@ -406,49 +416,51 @@ def fly(
     programs = sitl_programs(sitl) if sitl else None
     wind_m_s, late_s = _sim_wind(sim_wind), _sim_late(sim_late or [])
     _expect_no_backup(backup)
-    scene, fleet_plan, folder = _proven_plan(target, output, seed, unproven=unproven)
-    simulators = None
-    if programs is not None:
-        ground, pace = scene.terrain.height_amsl_m, 1.0 if speedup is None else speedup
-        simulators = SitlFleet(
-            fleet_plan, programs, folder / SITL, speedup=pace, ground=ground, wind_m_s=wind_m_s, tell=_warn
-        )
-    vehicles = planned_vehicles(fleet_plan, wind_m_s=wind_m_s, late_s=late_s)
-    correct = fleet_plan.mission.fleet.correction != "off" if correct is None else correct
-    if connect is not None:
-        _clock_start(fleet_plan, datetime.now(UTC))
-    with _ground_station(
-        *(scene, fleet_plan, folder, connect, speedup, signing_key),
-        unproven=unproven,
-        vehicles=vehicles,
-        simulators=simulators,
-    ) as link:
-        _save_backup(link, backup)
-        _transfer(link, scene, fleet_plan, unproven=unproven)
-        try:
-            keeps = pacer(scene, fleet_plan, correct=correct)
-            simulated = connect is None
+    with _proven_plan(target, output, seed, unproven=unproven) as (scene, fleet_plan, folder):
+        simulators = None
+        if programs is not None:
+            ground, pace = scene.terrain.height_amsl_m, 1.0 if speedup is None else speedup
+            simulators = SitlFleet(
+                fleet_plan, programs, folder / SITL, speedup=pace, ground=ground, wind_m_s=wind_m_s, tell=_warn
+            )
+        vehicles = planned_vehicles(fleet_plan, wind_m_s=wind_m_s, late_s=late_s)
+        correct = fleet_plan.mission.fleet.correction != "off" if correct is None else correct
+        if connect is not None:
+            _clock_start(fleet_plan, datetime.now(UTC))
+        with _ground_station(
+            *(scene, fleet_plan, folder, connect, speedup, signing_key),
+            unproven=unproven,
+            vehicles=vehicles,
+            simulators=simulators,
+        ) as link:
+            _save_backup(link, backup)
+            _transfer(link, scene, fleet_plan, unproven=unproven)
+            try:
+                keeps = pacer(scene, fleet_plan, correct=correct)
+                simulated = connect is None
 
-            def start_s(tell: Callable[[str], None]) -> float | None:
-                return None if simulated else _start_on_clock(link, fleet_plan, tell)
+                def start_s(tell: Callable[[str], None]) -> float | None:
+                    return None if simulated else _start_on_clock(link, fleet_plan, tell)
 
-            flight = fly_and_watch(link, fleet_plan, keeps, folder, simulated=simulated, start_s=start_s)
-        finally:
-            recorded = link.flight()
-            if all(len(vehicle.trajectory.t_s) for vehicle in recorded.vehicles):
-                save_flight(
-                    folder, recorded, unproven=unproven
-                )  # also of a flight that ended badly: then it is wanted most
-    check = check_flight(scene, fleet_plan, flight)
-    with stderr.status("writing the report"):
-        report_path = write_report(folder, scene, fleet_plan, flight)
-    _show(fleet_plan, folder, as_json, flight, check, report_path)
-    told = {o.vehicle: f" (told to {o.order})" for o in flight.orders if o.result != "refused" and o.order != "resume"}
-    missing = [v.name + told.get(v.name, "") for v in flight.vehicles if v.arrival_s is None]
-    if missing:
-        raise _verdict(f"{folder}: {', '.join(missing)} never reached the goal: see {report_path}")
-    if not check.ok:
-        raise _verdict(f"{folder}: the flight did not keep every clearance: see {report_path}")
+                flight = fly_and_watch(link, fleet_plan, keeps, folder, simulated=simulated, start_s=start_s)
+            finally:
+                recorded = link.flight()
+                if all(len(vehicle.trajectory.t_s) for vehicle in recorded.vehicles):
+                    save_flight(
+                        folder, recorded, unproven=unproven
+                    )  # also of a flight that ended badly: then it is wanted most
+        check = check_flight(scene, fleet_plan, flight)
+        with stderr.status("writing the report"):
+            report_path = write_report(folder, scene, fleet_plan, flight)
+        _show(fleet_plan, folder, as_json, flight, check, report_path)
+        told = {
+            o.vehicle: f" (told to {o.order})" for o in flight.orders if o.result != "refused" and o.order != "resume"
+        }
+        missing = [v.name + told.get(v.name, "") for v in flight.vehicles if v.arrival_s is None]
+        if missing:
+            raise _verdict(f"{folder}: {', '.join(missing)} never reached the goal: see {report_path}")
+        if not check.ok:
+            raise _verdict(f"{folder}: the flight did not keep every clearance: see {report_path}")
 
 
 def _sim_wind(text: str | None) -> tuple[float, float] | None:
@@ -485,17 +497,27 @@ def _verdict(told: str) -> typer.Exit:
     return typer.Exit(InfeasibleError.exit_code)
 
 
+@contextmanager
 def _proven_plan(
     target: Path, output: Path | None, seed: int | None, *, unproven: bool
-) -> tuple[Scene, FleetPlan, Path]:
-    """Return scene, plan and folder of a plan folder, or of a mission file, which is planned first."""
-    if target.is_dir():
-        if output is not None or seed is not None:
-            raise MissionError(f"{target}: is a plan already: --output and --seed go with a mission file")
-        return *_load_proven(target, unproven=unproven), target
-    scene = _scene(target)
-    folder = output or _default_folder(scene)
-    return scene, _plan(scene, folder, seed), folder
+) -> Iterator[tuple[Scene, FleetPlan, Path]]:
+    """Yield scene, plan and folder of a plan folder, or of a mission file, which is planned first; no other gets it.
+
+    Two in one folder would write over each other's logs, and the orders for one would be taken by the other.
+    """
+    from missionplanner.files import alone, ensure_writable
+
+    if target.is_dir() and (output is not None or seed is not None):
+        raise MissionError(f"{target}: is a plan already: --output and --seed go with a mission file")
+    scene = None if target.is_dir() else _scene(target)
+    folder = target if scene is None else output or _default_folder(scene)
+    if scene is not None:
+        ensure_writable(folder)
+    with alone(folder, _BUSY):
+        if scene is None:
+            yield *_load_proven(folder, unproven=unproven), folder
+        else:
+            yield scene, _plan(scene, folder, seed), folder
 
 
 @contextmanager

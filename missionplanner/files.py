@@ -8,9 +8,13 @@ import os
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from missionplanner.errors import MissionError
+
+_fcntl: Any = import_module("fcntl") if os.name == "posix" else None
 
 
 @contextmanager
@@ -83,3 +87,32 @@ def ensure_writable(folder: Path) -> None:
             pass
     except OSError as error:
         raise MissionError(f"{folder}: expected a folder that can be written to, got: {error.strerror}") from error
+
+
+@contextmanager
+def alone(folder: Path, expected: str) -> Iterator[None]:
+    """Keep other programs that ask for the same out of a folder meanwhile; ``expected`` says what of, and what to do.
+
+    Raises
+    ------
+    MissionError
+        Another one is in it; or it cannot be read.
+    """
+    if _fcntl is None:
+        yield
+        return
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise MissionError(f"{folder}: expected a folder that can be read, got: {error.strerror}") from error
+    try:
+        _fcntl.flock(handle, _fcntl.LOCK_EX | _fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        raise MissionError(f"{folder}: {expected}") from None
+    except OSError:  # a file system without locks, as some networks'
+        pass
+    try:
+        yield
+    finally:
+        os.close(handle)

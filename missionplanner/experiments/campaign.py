@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from missionplanner.errors import MissionError, MissionPlannerError
-from missionplanner.files import ensure_writable, write_atomic
+from missionplanner.files import alone, ensure_writable, write_atomic
 
 Progress = Callable[[str, float], None]
 Keep = Callable[["Job", dict[str, Any]], None]
@@ -41,7 +41,10 @@ CONNECT_S = 5.0
 """How long a cluster may take to answer."""
 
 _OTHER = "choose another folder by --output"
-_fcntl: Any = import_module("fcntl") if os.name == "posix" else None
+_BUSY = (
+    "expected a folder that nobody writes to, got one where another experiment is at work: wait for it, or choose "
+    "another folder by --output"
+)
 _ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("NUMBA", "OMP", "OPENBLAS", "MKL")}
 _PACKAGES = ("numpy", "numba", "scipy")  # what the last bits of a result depend on
 
@@ -85,7 +88,7 @@ def run(
     if workers is not None and workers < 1:
         raise MissionError(f"workers: expected at least 1, got {workers}")
     ensure_writable(folder)
-    with _alone(folder):
+    with alone(folder, _BUSY):
         return _run(jobs, folder, experiment, version, workers, cluster, progress)
 
 
@@ -173,29 +176,6 @@ class _Kept:
             file.flush()
             os.fsync(file.fileno())
         self.results[key] = json.loads(line)["result"]  # the same whether just run or read again
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Keep other campaigns out of a folder meanwhile: two would write over each other's lines."""
-    if _fcntl is None:
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        _fcntl.flock(handle, _fcntl.LOCK_EX | _fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
-        raise MissionError(
-            f"{folder}: expected a folder that nobody writes to, got one where another experiment is at work: wait "
-            "for it, or choose another folder by --output"
-        ) from None
-    except OSError:  # a file system without locks, as some networks'
-        pass
-    try:
-        yield
-    finally:
-        os.close(handle)
 
 
 def claim(folder: Path, experiment: str) -> None:

@@ -8,6 +8,8 @@ import re
 import shutil
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,8 @@ import pytest
 
 from adapters.mission_items import CHANGE_SPEED, TAKEOFF, WAYPOINT
 from adapters.waypoints_file import read_waypoints
+from missionplanner.errors import LinkError, MissionError
+from missionplanner.files import alone
 from missionplanner.flight_check import check_flight
 from missionplanner.plan_folder import load_plan
 from missionplanner.planner import plan_fleet
@@ -137,6 +141,34 @@ def test_what_vehicles_hold_is_saved_proven_and_given_back(cli: Cli, planned: Pa
 
 def test_an_order_for_a_fleet_that_nobody_watches(cli: Cli, planned: Path) -> None:
     expect_refusal(cli("command", "land", planned, "--json"), 4, "expected a running fly", "nothing was sent")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="folders are locked by fcntl")
+@pytest.mark.parametrize("words", [["fly"], ["upload", "--connect", "udpin:127.0.0.1:0"]])
+def test_who_works_in_a_plan_folder_is_alone_in_it(
+    cli: Cli, planned: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    """Else a rehearsal would take the orders for the real fleet, and its logs."""
+    copy = Path(shutil.copytree(planned, tmp_path / "plan"))
+    before = sorted(copy.rglob("*"))
+    with alone(copy, "busy"):
+        expect_refusal(cli(words[0], copy, *words[1:], "--json"), 2, f"{copy}: expected a plan folder that nobody else")
+    assert sorted(copy.rglob("*")) == before
+    asked: list[str] = []
+
+    @contextmanager
+    def station(*_arguments: object, **_options: object) -> Iterator[None]:
+        with pytest.raises(MissionError, match="busy"), alone(copy, "busy"):
+            pass
+        asked.append("while it flies")
+        raise LinkError("nobody is there")
+        yield
+
+    monkeypatch.setattr("missionplanner.cli._ground_station", station)
+    expect_refusal(cli(words[0], copy, *words[1:], "--json"), 4, "nobody is there")
+    assert asked
+    with alone(copy, "free again"):
+        pass
 
 
 @pytest.mark.slow
