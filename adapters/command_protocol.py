@@ -7,6 +7,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from adapters.mission_protocol import OWN_COMPONENT, OWN_SYSID
 from missionplanner.errors import LinkError
 
 Message = Any  # a pymavlink message: its classes are generated, and carry no types
@@ -29,7 +30,8 @@ class Command:
         sysid: int,
         number: int,
         *params: float,
-        own_sysid: int = 255,
+        own_sysid: int = OWN_SYSID,
+        own_component: int = OWN_COMPONENT,
         retry_s: float = _RETRY_S,
         patience_s: float = 7.0,
     ) -> None:
@@ -39,9 +41,10 @@ class Command:
         self._number = number
         self._params = (*params, *[0.0] * (_PARAMS - len(params)))
         self._own_sysid = own_sysid
+        self._own_component = own_component
         self._retry_s = retry_s
         self._patience_s = patience_s
-        self._confirmation = 0
+        self.copies = 0  # sent
         self._due_s = -math.inf
         self._give_up_s: float | None = None
 
@@ -62,17 +65,28 @@ class Command:
                 f"{self._name} (sysid {self._sysid}): expected an answer to {command_name(self._number)}, got none"
             )
         self._due_s = now_s + self._retry_s
-        message = mavlink.MAVLink_command_long_message(self._sysid, 1, self._number, self._confirmation, *self._params)
-        self._confirmation = min(self._confirmation + 1, 255)
+        message = mavlink.MAVLink_command_long_message(self._sysid, 1, self._number, min(self.copies, 255), *self._params)
+        self.copies += 1
         return [message]
 
+    def contradicts(self, other: Command | None) -> bool:
+        """Return whether answers to copies of another command, which are still under way, look like ones to this."""
+        return (
+            other is not None and other._number == self._number and other._params != self._params and other.copies > 1
+        )
+
     def receive(self, message: Message, now_s: float) -> None:
-        """Take one message from anywhere; the vehicle's answer to this command, to us, counts."""
+        """Take one message from anywhere; the vehicle's answer to such a command, to us, counts.
+
+        It does not say which: ARM and DISARM are one command, and the answer to a copy of the one may come when the
+        other has been sent. What matters is believed when it is seen, see ``Station.commanding_until``.
+        """
         if (
             message.get_type() != "COMMAND_ACK"
             or message.get_srcSystem() != self._sysid
             or message.command != self._number
             or message.target_system not in (0, self._own_sysid)
+            or message.target_component not in (0, self._own_component)  # 0: older firmware does not say
             or self.result is not None
         ):
             return

@@ -56,6 +56,7 @@ _READY_S = 180.0  # a cold GPS and a cold estimator take a minute
 _FLYING_S = 5.0  # from MISSION_START to being seen in its mission
 _START_RETRY_S = 0.25
 _ARM_S = 8.0  # an armed copter left idle disarms after 10 s
+_DISARM_S = 4.0  # of a stand-down: for an answer, and a heartbeat that shows it
 _LOOK_AGAIN_S = 20.0  # before a start by the clock
 _LATE_MAX_S = 1.0  # after it
 _ARM_EARLY_S = 4.0  # before a delayed start
@@ -604,14 +605,9 @@ class FlightControl:
     def _changing_mode(self, vehicle: FleetVehicle, mode: Mode) -> Waiting[str]:
         """Switch a vehicle to a mode and see it there; return what it did instead, nothing if it did."""
         result = yield from self._mode_result(vehicle, vehicle.modes[mode], _ORDER_S)
-        if result != mavlink.MAV_RESULT_ACCEPTED:
-            return f"refused{vehicle.said(self._clock.now_s())}"
-        end_s = self._clock.now_s() + _SEEN_S
-        while not vehicle.in_mode(mode):
-            if self._clock.now_s() >= end_s:
-                return f"accepted, but is in mode {vehicle.custom_mode}{vehicle.said(self._clock.now_s())}"
-            yield
-        return ""
+        if result is None:
+            return f"accepted, but is in mode {vehicle.custom_mode}{vehicle.said(self._clock.now_s())}"
+        return "" if result == mavlink.MAV_RESULT_ACCEPTED else f"refused{vehicle.said(self._clock.now_s())}"
 
     def call_off(self) -> list[str]:
         """Disarm those who have not started yet, before nobody watches them: they stay on the ground; return who.
@@ -720,19 +716,27 @@ class FlightControl:
     def _into_mode(self, vehicle: FleetVehicle, mode: int, name: str) -> Steps:
         result = yield from self._mode_result(vehicle, mode, ANSWER_S)
         if result != mavlink.MAV_RESULT_ACCEPTED:
-            raise vehicle.error(f"refused to switch to {name} (mode {mode}){vehicle.said(self._clock.now_s())}")
+            did = "accepted, and did not" if result is None else "refused to"
+            raise vehicle.error(f"{did} switch to {name} (mode {mode}){vehicle.said(self._clock.now_s())}")
 
-    def _mode_result(self, vehicle: FleetVehicle, mode: int, patience_s: float) -> Waiting[int]:
+    def _mode_result(self, vehicle: FleetVehicle, mode: int, patience_s: float) -> Waiting[int | None]:
         main, sub = (mode, 0) if vehicle.plan.autopilot == "ardupilot" else (mode >> 16 & 0xFF, mode >> 24)
-        command = mavlink.MAV_CMD_DO_SET_MODE
-        return (yield from self._station.commanding(vehicle, command, _CUSTOM_MODE, main, sub, patience_s=patience_s))
+        params = (mavlink.MAV_CMD_DO_SET_MODE, _CUSTOM_MODE, main, sub)
+
+        def shown() -> bool:
+            return vehicle.custom_mode == mode
+
+        return (yield from self._station.commanding_until(vehicle, shown, *params, patience_s=patience_s))
 
     def _arming(self, vehicle: FleetVehicle) -> Steps:
         vehicle.asked_to_arm = True
         command = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-        result = yield from self._station.commanding(vehicle, command, 1.0, patience_s=_ARM_S)
+        result = yield from self._station.commanding_until(
+            vehicle, lambda: vehicle.armed, command, 1.0, patience_s=_ARM_S
+        )
         if result != mavlink.MAV_RESULT_ACCEPTED:
-            raise vehicle.error(f"refused to arm{vehicle.said(self._clock.now_s())}")
+            did = "accepted, and did not" if result is None else "refused to"
+            raise vehicle.error(f"{did} arm{vehicle.said(self._clock.now_s())}")
 
     def _starting(self, vehicle: FleetVehicle) -> Steps:
         result = yield from self._station.commanding(
@@ -753,6 +757,7 @@ class FlightControl:
                 )
             yield
         vehicle.started = True
+        self._station.link.unpin(vehicle.plan.sysid)
 
     def _wait_until(self, at_s: float | None) -> None:
         """Hear all vehicles until it is time."""
@@ -789,7 +794,9 @@ class FlightControl:
     def _disarming(self, vehicle: FleetVehicle) -> Waiting[bool]:
         """Disarm a vehicle that is on the ground; return whether it was: nobody disarms in the air."""
         disarm = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
-        result = yield from self._station.commanding(vehicle, disarm, 0.0, patience_s=2.0)
+        result = yield from self._station.commanding_until(
+            vehicle, lambda: not vehicle.armed, disarm, 0.0, patience_s=_DISARM_S
+        )
         return bool(result == mavlink.MAV_RESULT_ACCEPTED)
 
     def _check_home(self, vehicle: FleetVehicle) -> None:

@@ -78,6 +78,7 @@ _SETBACK_MS = 5_000  # no link holds a message for so long while it lets later o
 _TWO = "give each vehicle its own sysid (ArduPilot SYSID_THISMAV, PX4 MAV_SYS_ID)"
 LISTEN_S = 2.5  # two heartbeats: long enough to hear a second vehicle with the same sysid
 ANSWER_S = 7.0
+_SHOWN_S = 3.0  # from an answer to a heartbeat that shows what was answered; they come every second
 VERSION_S = 1.0  # from the answer to a request for AUTOPILOT_VERSION to that message
 
 _AUTOPILOTS: dict[int, Autopilot] = {
@@ -134,6 +135,8 @@ class Peer:
         ] = {}  # by what was sent; served on when done, if its last words were lost
         self.download: MissionDownload | None = None
         self.command: Command | None = None
+        self.last_command: Command | None = None
+        self.heartbeats = 0  # heard
         self.parameter: ParameterRead | ParametersRead | ParameterList | ParameterSet | None = None
         self.told_version = False
         self.unique_ids: set[str] = set()  # as it has told, in hexadecimal digits
@@ -191,6 +194,7 @@ class Peer:
             self._numbering.hear(message)
         if message.get_type() == "HEARTBEAT":
             self.heartbeat = message
+            self.heartbeats += 1
         if message.get_type() == "AUTOPILOT_VERSION":
             self.told_version = True
             self.unique_ids |= _unique_ids(message)
@@ -376,7 +380,50 @@ class Station(Generic[AnyPeer]):
         """Command it, and return the MAV_RESULT that it answers."""
         party = peer.party
         command = Command(party.vehicle, party.sysid, number, *params, retry_s=retry_s, patience_s=patience_s)
-        peer.command = command
+        return (yield from self._until_answered(peer, command))
+
+    def commanding_until(
+        self, peer: Peer, shown: Callable[[], bool], number: int, *params: float, patience_s: float = ANSWER_S
+    ) -> Waiting[int | None]:
+        """Command what a heartbeat shows, arming or a mode, again and again until one does; return the MAV_RESULT.
+
+        None: it was accepted, and no heartbeat has shown it.
+
+        ``shown`` is asked of heartbeats that are heard after the command was accepted. A refusal that may be the answer
+        to an opposite command sent before is asked for once more.
+
+        Raises
+        ------
+        LinkError
+            No answer.
+        """
+        end_s = self.clock.now_s() + patience_s
+        party, last = peer.party, peer.last_command
+        doubts: int | None = None
+        while True:
+            left_s = max(end_s - self.clock.now_s(), _SHOWN_S)
+            command = Command(party.vehicle, party.sysid, number, *params, patience_s=left_s)
+            if doubts is None:
+                doubts = last.copies - 1 if last is not None and command.contradicts(last) else 0
+            result = yield from self._until_answered(peer, command)
+            if result != mavlink.MAV_RESULT_ACCEPTED:
+                if doubts <= 0 or self.clock.now_s() >= end_s:
+                    return result
+                doubts -= 1
+                continue
+            beats, shown_end_s = peer.heartbeats, self.clock.now_s() + _SHOWN_S
+            # two heartbeats that show otherwise are no matter of one that was on its way meanwhile
+            while peer.heartbeats < beats + 2 and self.clock.now_s() < shown_end_s:
+                if peer.heartbeats > beats and shown():
+                    return result
+                yield
+            if peer.heartbeats > beats and shown():
+                return result
+            if self.clock.now_s() >= end_s:
+                return None
+
+    def _until_answered(self, peer: Peer, command: Command) -> Waiting[int]:
+        peer.command = peer.last_command = command
         while command.result is None:
             self.send(peer, command.poll(self.clock.now_s()))
             yield
@@ -384,7 +431,11 @@ class Station(Generic[AnyPeer]):
         return command.result
 
     def identifying(self, peer: Peer) -> Steps:
-        """Ask for its unique id, as either of two generations of firmware has to be asked; it may have none."""
+        """Ask for its unique id, as either of two generations of firmware has to be asked; it may have none.
+
+        From then on it is heard from that place only: somebody else who has its sysid is not taken for it.
+        """
+        self.link.pin(peer.party.sysid)
         wanted, generation = float(mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION), 0
         asks = ((mavlink.MAV_CMD_REQUEST_MESSAGE, wanted), (mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES, 1.0))
         for _ in range(_VERSIONS_LOST):
@@ -455,6 +506,7 @@ class Station(Generic[AnyPeer]):
             command = f" ({command_name(items[seq].command)})" if seq < len(items) else ""
             what = what_is_sent(mission_type)
             raise peer.error(f"holds another {what} than was sent: {wrong[0]}{command}{more}; upload it again")
+        peer.uploads.pop(mission_type, None)  # nothing more is served: who asks with our ids is somebody else's
         return held
 
     def downloading(

@@ -44,6 +44,8 @@ from missionplanner.vehicle import Autopilot, VehicleClass
 
 Message = Any  # a pymavlink message: its classes are generated, and carry no types
 
+OWN_SYSID = 255
+OWN_COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
 AUTOPILOT_COMPONENT = 1
 
 
@@ -77,8 +79,8 @@ class Party:
 
     vehicle: str
     sysid: int
-    own_sysid: int = 255
-    own_component: int = mavlink.MAV_COMP_ID_MISSIONPLANNER
+    own_sysid: int = OWN_SYSID
+    own_component: int = OWN_COMPONENT
 
     def hears(self, message: Message, mission_type: int) -> bool:
         """Return whether a message is the vehicle's, for us, about that kind of mission."""
@@ -183,9 +185,28 @@ class MissionUpload:
         self._errors = 0  # since it asked last
         self._last: int | None = None  # the item sent last, in this attempt
         self._last_item_sent = False
+        self._sent_whole = False  # in any attempt
         self._asked: set[int] = set()  # since the vehicle began
         self._restarts = 0
         self._progress_s = 0.0
+
+    @property
+    def state(self) -> str:
+        """What the vehicle holds, as far as that is known, and what to do.
+
+        Of ArduPilot's stores, COUNT alone cuts the mission and the rally points short, answered or not; only its fence
+        is kept until a whole one has come.
+        """
+        what = self._what
+        if self._phase == "idle":
+            return f"it keeps its old {what}: upload again before flying"
+        if self.confirmed:
+            return f"it holds the new {what}, not read back: upload again before flying"
+        if self._autopilot == "ardupilot" and self._mission_type != mavlink.MAV_MISSION_TYPE_FENCE:
+            return f"it may hold a mixture of the old {what} and the new one: do not fly it, upload again"
+        if self._sent_whole:
+            return f"it may hold the old {what} or the new one: upload again before flying"
+        return f"it keeps its old {what}: upload again before flying"
 
     def poll(self, now_s: float) -> list[Message]:
         """Start at the first call, then repeat what was said last when the vehicle has been silent too long.
@@ -218,10 +239,10 @@ class MissionUpload:
         if now_s < self._patience.due_s:
             return []
         if self._patience.exhausted(self._timing.retries_of(self._attempt)):
-            state = self._state_after_failure() if self.sent else f"it keeps its old {self._what}: check the link"
             counts = self._timing.retries_of(self._attempt) + 1
             raise self._party.error(
-                f"expected requests for {self._what} items, got no answer to {counts} MISSION_COUNTs; {state}"
+                f"expected requests for {self._what} items, got no answer to {counts} MISSION_COUNTs; "
+                f"{self.state}; check the link"
             )
         return [self._count(now_s, again=True)]
 
@@ -277,6 +298,7 @@ class MissionUpload:
             self._patience.sent(now_s, again=again)
         self._last = seq
         self._last_item_sent |= seq == self.total - 1
+        self._sent_whole |= self._last_item_sent
         return item_message(self._items[seq], self._party.sysid, self._mission_type)
 
     def _acknowledged(self, result: int, now_s: float) -> list[Message]:
@@ -301,11 +323,12 @@ class MissionUpload:
                 return self._again(now_s, "a cancelled transfer") if self._phase == "sending" else []
             case mavlink.MAV_MISSION_DENIED:
                 raise self._party.error(
-                    "refused the upload (DENIED): another ground station may be uploading; disconnect it and try again"
+                    "refused the upload (DENIED): another ground station may be uploading; disconnect it and try again; "
+                    f"{self.state}"
                 )
         raise self._party.error(
             f"refused the {self._what}: {_REASONS.get(result, f'MAV_MISSION_RESULT {result}')}, "
-            f"{self._at_last_item()}; {self._state_after_failure()}"
+            f"{self._at_last_item()}; {self.state}"
         )
 
     def _accepted(self) -> list[Message]:
@@ -314,7 +337,7 @@ class MissionUpload:
         elif self._phase == "sending":
             raise self._party.error(
                 f"accepted the {self._what} before its last item was sent "
-                f"({self._at_last_item()} of {self.total - 1}); {self._state_after_failure()}"
+                f"({self._at_last_item()} of {self.total - 1}); {self.state}"
             )
         return []  # while counting: an echo of an earlier transfer
 
@@ -324,7 +347,7 @@ class MissionUpload:
             reason = "no space" if result == mavlink.MAV_MISSION_NO_SPACE else "error"
             raise self._party.error(
                 f"refused a {self._what} of {self.total} items ({reason}) {self._busy} times; "
-                "it holds fewer: shorten it, or wait until the vehicle is ready and upload again"
+                f"it holds fewer: shorten it, or wait until the vehicle is ready and upload again; {self.state}"
             )
         if self._phase == "counting":
             self._patience.sent(now_s, again=False, wait_s=self._timing.busy_s)
@@ -335,7 +358,7 @@ class MissionUpload:
             raise self._party.error(
                 f"upload given up after {self._attempt} attempts: {why} after {self._at_last_item()} "
                 f"of {self.total - 1}; "
-                f"{self._state_after_failure()}"
+                f"{self.state}"
             )
         return self._begin(now_s)
 
@@ -353,10 +376,6 @@ class MissionUpload:
     def _what(self) -> str:
         return what_is_sent(self._mission_type)
 
-    def _state_after_failure(self) -> str:
-        if self._autopilot == "ardupilot" and self._mission_type == mavlink.MAV_MISSION_TYPE_MISSION:
-            return "it may hold a mixture of the old mission and the new one: do not fly it, upload again"
-        return f"it keeps its old {self._what}: upload again before flying"
 
 
 class MissionDownload:

@@ -12,14 +12,12 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.endpoint import Endpoint, Peer
+from adapters.mission_protocol import AUTOPILOT_COMPONENT, OWN_COMPONENT, OWN_SYSID
 from adapters.telemetry_log import FleetLog
 from missionplanner.errors import LinkError
 
 Message = Any  # a pymavlink message: its classes are generated, and carry no types
 
-OWN_SYSID = 255
-OWN_COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
-AUTOPILOT_COMPONENT = 1
 _HEARTBEAT_S = 1.0
 _MOVED_AFTER_S = 5.0  # a vehicle silent for this long may come back from another address
 _PEERS_MAX = 256  # of an endpoint, whose pieces of frames are kept
@@ -43,6 +41,8 @@ class PymavlinkLink:
         self._routes: dict[int, _Route] = {}
         self._beat_s = -_HEARTBEAT_S
         self._keeps_to_routes = False
+        self._pinned: set[int] = set()
+        self._elsewhere: dict[int, str] = {}  # where else pinned vehicles were heard, once silent
         self.strangers: dict[int, int] = {}  # messages that were dropped since, by sysid
 
     @property
@@ -100,6 +100,20 @@ class PymavlinkLink:
                 self._endpoints[route.endpoint].send(frame, route.peer)
                 self._write(now_s, sysid, frame)
 
+    def pin(self, sysid: int) -> None:
+        """From now on, hear a vehicle only where it was heard, however long it is silent: who it is has been asked."""
+        self._pinned.add(sysid)
+        self._elsewhere.pop(sysid, None)
+
+    def unpin(self, sysid: int) -> None:
+        """From now on, let a vehicle come back from another place when it has been silent there: it flies."""
+        self._pinned.discard(sysid)
+        self._elsewhere.pop(sysid, None)
+
+    def elsewhere(self, sysid: int) -> str | None:
+        """Return the place at which somebody spoke in a pinned vehicle's name while it was silent; None: nobody did."""
+        return self._elsewhere.get(sysid)
+
     def keep_to_routes(self) -> None:
         """From now on, drop what comes from elsewhere in a vehicle's name, instead of refusing both: they fly."""
         self._keeps_to_routes = True
@@ -133,6 +147,9 @@ class PymavlinkLink:
         sysid = message.get_srcSystem()
         route = self._routes.get(sysid)
         if route is not None and (route.endpoint, route.peer) != (endpoint, peer):
+            if now_s - route.heard_s >= _MOVED_AFTER_S and sysid in self._pinned:
+                self._elsewhere[sysid] = f"{self._endpoints[endpoint].url} from {_place(peer)}"
+                return False
             if now_s - route.heard_s < _MOVED_AFTER_S:
                 if self._keeps_to_routes:
                     self.strangers[sysid] = self.strangers.get(sysid, 0) + 1

@@ -136,6 +136,7 @@ class Autopilot:
         self._passed = 0
         self._wait_until_s = math.inf
         self._idle_since_s = 0.0
+        self._flown_before_s = 0.0  # it was armed
         self._airborne_since_s = math.inf
         self._late_s = late_s  # on the ground before its first take-off of a mission, for whatever reason
 
@@ -195,7 +196,7 @@ class Autopilot:
     def _disarm_at_s(self) -> float:
         if not self.armed or not self.landed or self._stage is not None:
             return math.inf
-        has_flown = self._airborne_s > 0.0 and self.mission_state is not MissionState.ACTIVE
+        has_flown = self._airborne_s > self._flown_before_s and self.mission_state is not MissionState.ACTIVE
         return self._idle_since_s + (self.personality.landed_disarm_s if has_flown else self._idle_disarm_s)
 
     @property
@@ -218,6 +219,7 @@ class Autopilot:
             return self.personality.refusal
         self.armed = True
         self._idle_since_s = now_s
+        self._flown_before_s = self._airborne_s
         self._say(mavlink.MAV_SEVERITY_INFO, self.personality.armed_text)
         if self.mode.behaviour is not Behaviour.HOLD:
             self._enter(self.mode, now_s)
