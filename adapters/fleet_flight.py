@@ -15,7 +15,17 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.endpoint import Endpoint
-from adapters.fleet_vehicle import ARMING_MODES, UNHEARD_S, FleetVehicle, Mode, Order, VehicleStatus
+from adapters.fleet_vehicle import (
+    ARMING_MODES,
+    LOST_S,
+    NOT_KNOWN,
+    STANDS_M_S,
+    UNHEARD_S,
+    FleetVehicle,
+    Mode,
+    Order,
+    VehicleStatus,
+)
 from adapters.ground_station import ANSWER_S, WAIT_S, Clock, Station, Steps, Waiting, joined
 from adapters.pace_keeper import PaceKeeper, Told
 from adapters.telemetry_log import FleetLog
@@ -60,13 +70,13 @@ _DISARM_S = 4.0  # of a stand-down: for an answer, and a heartbeat that shows it
 _LOOK_AGAIN_S = 20.0  # before a start by the clock
 _LATE_MAX_S = 1.0  # after it
 _ARM_EARLY_S = 4.0  # before a delayed start
-_LOST_S = 60.0
 _PROGRESS_S = 0.5
 _HEARTBEAT_S = 1.5
 _SEEN_S = 3.0  # from an answer to a heartbeat that shows what was answered
 _STANDS_S = 10.0  # from an answer to standing still
-_STANDS_M_S = 0.5
 _ORDER_S = 5.0  # for an answer to an order
+_FIND_S = 5.0  # for a heartbeat of those who are to be given one
+_WARNED_M = 25.0  # flown on since, a warning of the way back is another's
 
 NOT_PROVEN = (
     "that the fleet keeps apart, also when it returns, and arrives together was proven for the planned times only: it "
@@ -137,12 +147,10 @@ class FlightControl:
         Raises
         ------
         LinkError
-            A vehicle is not ready, stands elsewhere than planned, or does not start; the message says who flies.
+            A vehicle is not ready, stands elsewhere than planned, is armed already, holds another
+            mission than was sent, or does not start; the message says who flies.
         """
-        self._station.together(
-            {sysid: self._preparing(vehicle, ready_timeout_s, progress) for sysid, vehicle in self._vehicles.items()},
-            after_failure="nothing was armed",
-        )
+        look_again_s = _LOOK_AGAIN_S + self._prepare(ready_timeout_s, progress)
         if at_s is not None and self._clock.now_s() > at_s:
             raise LinkError(
                 f"all are ready {self._clock.now_s() - at_s:.0f} s after the start for fleet.arrival_utc: nothing was "
@@ -150,12 +158,8 @@ class FlightControl:
             )
         first = {k: v for k, v in self._vehicles.items() if v.plan.start_delay_s <= 0.0}
         if at_s is not None:  # what was checked then may not hold any more
-            self._wait_until(at_s - _LOOK_AGAIN_S)
-            left_s = max(at_s - self._clock.now_s(), 0.0)
-            self._station.together(
-                {sysid: self._preparing(vehicle, left_s, progress) for sysid, vehicle in self._vehicles.items()},
-                after_failure="nothing was armed",
-            )
+            self._wait_until(at_s - look_again_s)
+            self._prepare(max(at_s - self._clock.now_s(), 0.0), progress)
             self._wait_until(at_s - _ARM_EARLY_S)
         try:
             self._station.together({sysid: self._arming(vehicle) for sysid, vehicle in first.items()})
@@ -168,11 +172,24 @@ class FlightControl:
         self._station.begin_flight()
         for vehicle in self._vehicles.values():
             vehicle.recorder.start(self._start_s)
+            vehicle.take_news()
         try:
             self._station.together({sysid: self._starting(vehicle) for sysid, vehicle in first.items()})
         except LinkError as error:
             raise LinkError(f"{error}; {self._stand_down()}") from error
         self._later = {k: self._starting_later(v) for k, v in self._vehicles.items() if k not in first}
+
+    def _prepare(self, timeout_s: float, progress: ReadyProgress | None) -> float:
+        """Wait until all can be armed, then see that all hold their missions still; return how long the latter took.
+
+        Others may have given them new ones since they were read back: it may be minutes.
+        """
+        going = {k: self._preparing(vehicle, timeout_s, progress) for k, vehicle in self._vehicles.items()}
+        self._station.together(going, after_failure="nothing was armed")
+        begun_s = self._clock.now_s()
+        going = {k: self._confirming(vehicle) for k, vehicle in self._vehicles.items()}
+        self._station.together(going, after_failure="nothing was armed")
+        return self._clock.now_s() - begun_s
 
     def watch(
         self,
@@ -212,7 +229,7 @@ class FlightControl:
     def _watch(self, progress: WatchProgress | None, pacer: Pacer | None, tell: Told | None, helm: Helm | None) -> None:
         assert self._start_s is not None, "start first"
         longest_s = max(float(vehicle.plan.trajectory.t_s[-1]) for vehicle in self._vehicles.values())
-        give_up_s = self._start_s + 2.0 * longest_s + 2.0 * _LOST_S
+        give_up_s = self._start_s + 2.0 * longest_s + 2.0 * LOST_S
         release_s = give_up_s - longest_s  # enough to fly all of it
         shown_s = -math.inf
         log_trouble: str | None = None
@@ -228,6 +245,7 @@ class FlightControl:
             now_s = self._clock.now_s()
             self._start_those_due(tell)
             self._look_for_gaps(now_s, tell)
+            self._look_for_strays(now_s, tell)
             if self._log is not None and self._log.trouble != log_trouble and tell is not None:
                 log_trouble = self._log.trouble
                 tell(str(log_trouble))
@@ -270,9 +288,22 @@ class FlightControl:
                     self._say(f"{vehicle.plan.name}: heard again, {vehicle.where}", tell)
             elif silent_s > UNHEARD_S and vehicle.started and not vehicle.ended:
                 self._unheard.add(sysid)
-                self._say(
-                    f"{vehicle.plan.name}: not heard for {silent_s:.0f} s, {vehicle.where}; it flies on by itself", tell
-                )
+                self._say(f"{vehicle.plan.name}: not heard for {silent_s:.0f} s, {vehicle.where}; {NOT_KNOWN}", tell)
+
+    def _look_for_strays(self, now_s: float, tell: Told | None) -> None:
+        """Tell what vehicles warn of, and who does something else than its mission or our order."""
+        for sysid, vehicle in self._vehicles.items():
+            for text in vehicle.take_news():
+                if tell is not None:  # in the log it is already
+                    tell(f"{vehicle.plan.name}: {text}")
+            if not vehicle.started or sysid in self._orders or vehicle.silent_s(now_s) > UNHEARD_S:
+                continue
+            follows = vehicle.in_mode("auto") if vehicle.order is None else vehicle.follows(vehicle.order)
+            done = vehicle.recorder.landed or (vehicle.order is None and vehicle.recorder.reached_goal)
+            strays = vehicle.recorder.fell(now_s) or (vehicle.armed and not follows and not done)
+            if strays and not vehicle.strayed:
+                self._say(f"{vehicle.plan.name} {vehicle.state}: not by an order given here", tell)
+            vehicle.strayed = strays
 
     def _say(self, text: str, tell: Told | None) -> None:
         if self._log is not None:
@@ -352,22 +383,18 @@ class FlightControl:
         last = {ordered.vehicle: ordered for ordered in self._ordered}
         told: list[str] = []
         for sysid, vehicle in self._vehicles.items():
-            ordered = last.get(vehicle.plan.name)
-            words = f"{vehicle.plan.name} flies on with its mission, {vehicle.where}"
-            if vehicle.recorder.landed and not vehicle.armed:
-                words = f"{vehicle.plan.name} has landed"
-            elif not vehicle.armed or sysid in self._grounded:
-                words = f"{vehicle.plan.name} is disarmed on the ground"
-            elif sysid in self._orders:
-                words = f"{vehicle.plan.name} was told to {self._giving}, and has not answered yet"
-            elif ordered is not None and (ordered.order != "resume" or ordered.result != "obeyed"):
-                words = ordered.words
-            elif vehicle.ended:
-                words = f"{vehicle.plan.name} is where its mission ends"
-            elif not vehicle.in_mode("auto"):
-                words = f"{vehicle.plan.name} is in mode {vehicle.custom_mode}, not in its mission"
+            name, ordered = vehicle.plan.name, last.get(vehicle.plan.name)
+            words = f"{name} {vehicle.state}"
+            if sysid in self._orders:
+                words += f"; it was told to {self._giving}, and has not answered yet"
+            elif ordered is not None and vehicle.armed and not vehicle.recorder.rebooted:
+                follows = vehicle.follows(ordered.order)
+                if ordered.result == "obeyed" and follows and ordered.order != "resume":
+                    words = ordered.words
+                elif ordered.result in ("refused", "silent") and not follows:
+                    words += f" (it {ordered.words.removeprefix(name).strip()})"
             silent_s = vehicle.silent_s(now_s)
-            late = f" when it was last heard, {silent_s:.0f} s ago: what it does now is not known"
+            late = f" when it was last heard, {silent_s:.0f} s ago: {NOT_KNOWN}"
             told.append(words if silent_s <= UNHEARD_S else words + late)
         return told
 
@@ -381,6 +408,29 @@ class FlightControl:
         Nobody's failure keeps the others from obeying. Who is still to start does not, once told to return or land.
         """
         self._give(Request(order, frozenset(names), unproven))
+        self._station.together(self._orders)
+        self._orders.clear()
+        return self._given()
+
+    def command(self, request: Request, *, within_s: float = _FIND_S) -> tuple[Ordered, ...]:
+        """Give an order to a fleet that nobody watches: to all who are heard within some seconds, each by itself.
+
+        Who is not heard is answered for as silent. Nobody is told anything who is not what the plan takes it for, nor
+        to resume a mission that is not the plan's.
+
+        Raises
+        ------
+        LinkError
+            Nobody is heard at all.
+        """
+        wanted = {k: v for k, v in self._vehicles.items() if not request.vehicles or v.plan.name in request.vehicles}
+        names = {sysid: f"{vehicle.plan.name} (sysid {sysid})" for sysid, vehicle in wanted.items()}
+        try:
+            self._station.wait_for(list(wanted), names, within_s)
+        except LinkError:
+            if all(vehicle.heartbeat is None for vehicle in wanted.values()):
+                raise
+        self._give(request, strangers=True)
         self._station.together(self._orders)
         self._orders.clear()
         return self._given()
@@ -405,25 +455,30 @@ class FlightControl:
             if not self._orders:
                 helm.answer(())
 
-    def _give(self, request: Request) -> None:
-        wanted = {k: v for k, v in self._vehicles.items() if not request.vehicles or v.plan.name in request.vehicles}
+    def _give(self, request: Request, *, strangers: bool = False) -> None:
+        known = {vehicle.plan.name for vehicle in self._vehicles.values()}
+        names = request.vehicles or known
+        # a name that is nobody's is a slip: who else was meant is not known either
+        wanted = {k: v for k, v in self._vehicles.items() if names <= known and v.plan.name in names}
         self._outcomes, self._giving = {}, request.order
         for sysid, vehicle in wanted.items():
             if self._keeper is not None:
                 self._keeper.give_up(list(self._vehicles).index(sysid))
-            vehicle.warned |= request.unproven
-            self._orders[sysid] = self._obeying(vehicle, request.order)
+            if request.order != "resume":
+                vehicle.warned_m = None
+            self._orders[sysid] = self._obeying(vehicle, request, strangers)
 
     def _given(self) -> tuple[Ordered, ...]:
         outcomes = tuple(self._outcomes[k] for k in self._vehicles if k in self._outcomes)
         self._ordered += outcomes
         return outcomes
 
-    def _obeying(self, vehicle: FleetVehicle, order: Order) -> Steps:
-        plan = vehicle.plan
+    def _obeying(self, vehicle: FleetVehicle, request: Request, stranger: bool) -> Steps:
+        plan, order = vehicle.plan, request.order
         result: OrderResult
         try:
-            result, words = yield from self._telling(vehicle, order)
+            met = (yield from self._meeting(vehicle, order)) if stranger else None
+            result, words = met or (yield from self._telling(vehicle, request))
         except LinkError:
             vehicle.command = None
             result = "silent"
@@ -445,10 +500,39 @@ class FlightControl:
         since_s = self._paused_s.get(sysid)
         return self._put_off_s.get(sysid, 0.0) + (0.0 if since_s is None else self._clock.now_s() - since_s)
 
-    def _telling(self, vehicle: FleetVehicle, order: Order) -> Waiting[tuple[OrderResult, str]]:
+    def _meeting(self, vehicle: FleetVehicle, order: Order) -> Waiting[tuple[OrderResult, str] | None]:
+        """Find out whether a vehicle may be given an order; return why not, as the end of a sentence."""
+        if vehicle.heartbeat is None:
+            return "silent", f"is not heard, and was not told to {order}: take over by hand"
+        try:
+            yield from self._station.identifying(vehicle)
+        except LinkError:  # it is heard: it may hear us, too
+            vehicle.command = None
+        try:
+            vehicle.check_identity()
+        except LinkError as error:
+            reason = str(error).removeprefix(f"{vehicle.error('')}")
+            return "refused", f"was not told to {order}: {reason}"
+        if order == "resume":
+            differs = yield from self._differing(vehicle)
+            if differs:
+                return "refused", f"is not resumed: {differs}"
+        return None
+
+    def _differing(self, vehicle: FleetVehicle) -> Waiting[str]:
+        """Read the mission that a vehicle holds; return how it differs from its plan's, nothing if it does not."""
+        held = yield from self._station.downloading(vehicle)
+        wrong = vehicle.differing(vehicle.items, held)
+        if wrong and not held:
+            return "it holds no mission"
+        more = f" (and {len(wrong) - 1} more)" if wrong[1:] else ""
+        return f"it holds another mission than its plan's: {wrong[0]}{more}" if wrong else ""
+
+    def _telling(self, vehicle: FleetVehicle, request: Request) -> Waiting[tuple[OrderResult, str]]:
         """Give one vehicle an order; return what came of it, as the end of a sentence that begins with its name."""
-        if vehicle.recorder.landed and not vehicle.armed:
-            return "grounded", "has landed"
+        order = request.order
+        if not vehicle.armed and (vehicle.recorder.landed or vehicle.recorder.disarmed_up_m is not None):
+            return "grounded" if vehicle.recorder.landed else "refused", vehicle.state
         waiting = yield from self._keeping_down(vehicle, order)
         if waiting is not None:
             return "grounded", waiting
@@ -456,7 +540,7 @@ class FlightControl:
             case "pause":
                 return (yield from self._pausing(vehicle))
             case "resume":
-                return (yield from self._resuming(vehicle))
+                return (yield from self._resuming(vehicle, request))
         if vehicle.in_mode("auto"):
             vehicle.left_item = vehicle.current_item
         refusal = yield from self._changing_mode(vehicle, order)
@@ -496,10 +580,11 @@ class FlightControl:
         if self._stops_in_mission(vehicle):
             if vehicle.paused:
                 return "obeyed", f"stands on its way, {vehicle.where}"
-            result = yield from self._commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
+            telling = self._commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 0.0)
+            result = yield from self._answered(vehicle, telling, lambda: vehicle.paused)
             if result == mavlink.MAV_RESULT_ACCEPTED:
                 end_s = self._clock.now_s() + _STANDS_S
-                while not vehicle.paused and vehicle.speed_m_s > _STANDS_M_S:
+                while not vehicle.paused and vehicle.speed_m_s > STANDS_M_S:
                     if self._clock.now_s() >= end_s:
                         return "refused", "accepted to pause, and is not seen to stand"
                     yield
@@ -512,14 +597,14 @@ class FlightControl:
         if vehicle.plan.vehicle_class == "plane":
             return "obeyed", f"circles, {vehicle.where}: its circle is not proven to be clear"
         end_s = self._clock.now_s() + _STANDS_S
-        while vehicle.speed_m_s > _STANDS_M_S and self._clock.now_s() < end_s:
+        while vehicle.speed_m_s > STANDS_M_S and self._clock.now_s() < end_s:
             yield
         off_m = vehicle.off_way_m()
         if off_m > self._home_tolerance_m:
             return "obeyed", f"holds, {vehicle.where}, {off_m:.0f} m off its leg: not proven to be clear there"
         return "obeyed", f"holds on its way, {vehicle.where}"
 
-    def _resuming(self, vehicle: FleetVehicle) -> Waiting[tuple[OrderResult, str]]:
+    def _resuming(self, vehicle: FleetVehicle, request: Request) -> Waiting[tuple[OrderResult, str]]:
         """Let a vehicle go on to the item that it was flying to, at the speed that its mission has set for it.
 
         ArduPilot begins anew where MIS_RESTART says so, unless the item is set before; PX4 and ArduPilot both forget
@@ -528,7 +613,8 @@ class FlightControl:
         if vehicle.in_mode("auto"):
             if not self._stops_in_mission(vehicle):
                 return "obeyed", f"flies its mission, {vehicle.where}"
-            result = yield from self._commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
+            telling = self._commanding(vehicle, mavlink.MAV_CMD_DO_PAUSE_CONTINUE, 1.0)
+            result = yield from self._answered(vehicle, telling, lambda: not vehicle.paused)
             end_s = self._clock.now_s() + _SEEN_S
             while vehicle.paused and self._clock.now_s() < end_s:
                 yield
@@ -537,14 +623,21 @@ class FlightControl:
                 return "refused", f"was told to resume, {did}, and still stands{vehicle.said(self._clock.now_s())}"
             self._flies_on(vehicle)
             return "obeyed", f"goes on, {vehicle.where}"
+        if vehicle.plan.name not in request.vehicles and not (vehicle.order == "pause" and vehicle.follows("pause")):
+            return "refused", (
+                f"is not resumed: it {vehicle.state}, and was not paused from here: that may be its failsafe's or its "
+                f"pilot's doing; name it (--vehicle {vehicle.plan.name}) to resume it all the same"
+            )
         item = vehicle.left_item
         if item is None:
             item = yield from self._item_of(vehicle)
         off_m = vehicle.off_way_m()
         if item is None:
             return "refused", "is not resumed: which item it was flying to is not known"
-        if off_m > self._home_tolerance_m and not vehicle.warned:
-            vehicle.warned = True
+        position_m, warned_m = vehicle.recorder.position_m, vehicle.warned_m
+        warned = position_m is not None and warned_m is not None and np.linalg.norm(position_m - warned_m) <= _WARNED_M
+        if off_m > self._home_tolerance_m and not (warned or request.unproven):
+            vehicle.warned_m = position_m
             return "refused", (
                 f"is not resumed: it is {off_m:.0f} m off its leg to item {item}, the way there is not proven; "
                 "resume again (command resume --unproven) to fly it all the same"
@@ -562,7 +655,7 @@ class FlightControl:
         begins_anew = vehicle.current_item is None or vehicle.current_item < item
         if begins_anew and not (yield from self._making_current(vehicle, item)):
             return "refused", f"flies its mission, {vehicle.where} instead of to item {item}: take over by hand"
-        vehicle.left_item, vehicle.warned = None, False
+        vehicle.left_item = vehicle.warned_m = None
         self._flies_on(vehicle)
         off = f", from {off_m:.0f} m off its leg: not proven" if off_m > self._home_tolerance_m else ""
         if speed is None:
@@ -602,9 +695,22 @@ class FlightControl:
     def _commanding(self, vehicle: FleetVehicle, number: int, *params: float) -> Waiting[int]:
         return (yield from self._station.commanding(vehicle, number, *params, patience_s=_ORDER_S))
 
+    def _answered(
+        self, vehicle: FleetVehicle, telling: Waiting[int | None], seen: Callable[[], bool]
+    ) -> Waiting[int | None]:
+        """Return what a vehicle answers to a command; if only the answer was lost, as is seen, that it accepts."""
+        try:
+            return (yield from telling)
+        except LinkError:
+            if vehicle.silent_s(self._clock.now_s()) > _SEEN_S or not seen():
+                raise
+            vehicle.command = None
+            return int(mavlink.MAV_RESULT_ACCEPTED)
+
     def _changing_mode(self, vehicle: FleetVehicle, mode: Mode) -> Waiting[str]:
         """Switch a vehicle to a mode and see it there; return what it did instead, nothing if it did."""
-        result = yield from self._mode_result(vehicle, vehicle.modes[mode], _ORDER_S)
+        telling = self._mode_result(vehicle, vehicle.modes[mode], _ORDER_S)
+        result = yield from self._answered(vehicle, telling, lambda: vehicle.in_mode(mode))
         if result is None:
             return f"accepted, but is in mode {vehicle.custom_mode}{vehicle.said(self._clock.now_s())}"
         return "" if result == mavlink.MAV_RESULT_ACCEPTED else f"refused{vehicle.said(self._clock.now_s())}"
@@ -686,6 +792,14 @@ class FlightControl:
         if progress is not None:
             progress(vehicle.plan.name, "ready")
 
+    def _confirming(self, vehicle: FleetVehicle) -> Steps:
+        """See that a vehicle is not armed, and holds its mission still."""
+        differs = yield from self._differing(vehicle)
+        if differs:
+            raise vehicle.error(f"{differs}; somebody has changed it since it was sent: upload again")
+        if vehicle.armed:
+            raise vehicle.error("is armed already, not from here: find out by whom, and disarm it")
+
     def _rewinding(self, vehicle: FleetVehicle) -> Steps:
         """Set the first item as the current one: the vehicle may have flown this mission before."""
         first = 1 if vehicle.plan.autopilot == "ardupilot" else 0
@@ -709,9 +823,6 @@ class FlightControl:
                 self._station.send(vehicle, [message])
             yield
         return True
-
-    def _switching(self, vehicle: FleetVehicle, mode: Mode) -> Steps:
-        yield from self._into_mode(vehicle, vehicle.modes[mode], mode)
 
     def _into_mode(self, vehicle: FleetVehicle, mode: int, name: str) -> Steps:
         result = yield from self._mode_result(vehicle, mode, ANSWER_S)
@@ -768,9 +879,19 @@ class FlightControl:
     def _starting_later(self, vehicle: FleetVehicle) -> Steps:
         assert self._start_s is not None
         due_s = self._start_s + vehicle.plan.start_delay_s
-        while vehicle.plan.sysid in self._paused_s or (
-            self._clock.now_s() < due_s + self._stood_s(vehicle.plan.sysid) - _ARM_EARLY_S
-        ):
+
+        def waits(before_s: float) -> bool:
+            sysid = vehicle.plan.sysid
+            return sysid in self._paused_s or self._clock.now_s() < due_s + self._stood_s(sysid) - before_s
+
+        while waits(_LOOK_AGAIN_S):
+            yield
+        try:
+            yield from self._confirming(vehicle)
+        except LinkError as failure:
+            self._ground(vehicle.plan.sysid, failure)
+            raise LinkError(f"{failure}; it was not started") from failure
+        while waits(_ARM_EARLY_S):
             yield
         at_s = due_s + self._stood_s(vehicle.plan.sysid)
         try:
@@ -817,28 +938,40 @@ class FlightControl:
 
     def _stand_down(self) -> str:
         """Bring a half-started fleet back to the ground, and say what came of it."""
-        armed = {sysid: vehicle for sysid, vehicle in self._vehicles.items() if vehicle.armed or vehicle.command}
-        self._station.settle(0.5)  # whoever has just been started says so
-        told: list[str] = []
-        silent: list[str] = []
+        self._station.settle(_HEARTBEAT_S)  # whoever has just been armed or started says so
+        asked = {k: v for k, v in self._vehicles.items() if v.armed or v.asked_to_arm}
+        now_s = self._clock.now_s()
+        landing: list[str] = []
+        returning: list[str] = []
+        refusing: list[str] = []
+        silent = [v.plan.name for k, v in self._vehicles.items() if k not in asked and v.silent_s(now_s) > UNHEARD_S]
 
         def ending(vehicle: FleetVehicle) -> Steps:
+            name = vehicle.plan.name
             try:
-                if not (yield from self._disarming(vehicle)):
-                    yield from self._switching(vehicle, "land")
-                    told.append(vehicle.plan.name)
+                if (yield from self._disarming(vehicle)):
+                    self._ground(vehicle.plan.sysid, vehicle.error("its start was called off"))
+                    return
+                vehicle.started = True  # it has left the ground
+                refusal = yield from self._changing_mode(vehicle, "land")
             except LinkError:
-                silent.append(vehicle.plan.name)
+                vehicle.command = None
+                silent.append(name)
+                return
+            if refusal:
+                refusing.append(f"{name} was told to land, and {refusal}")
+                return
+            vehicle.order = "land"
+            (returning if vehicle.modes["land"] == vehicle.modes["rtl"] else landing).append(name)
 
-        self._station.together({sysid: ending(vehicle) for sysid, vehicle in armed.items()})
-        others = "the others are disarmed on the ground"
-        if told:
-            others = f"{', '.join(told)} told to land, {others}"
-        if silent:
-            return (
-                f"the start was called off, but {', '.join(silent)} did not answer and may be flying: take over by "
-                f"hand; {others}"
-            )
-        if told:
-            return f"the start was called off: {others}"
-        return "the start was called off: all vehicles are disarmed on the ground"
+        self._station.together({sysid: ending(vehicle) for sysid, vehicle in asked.items()})
+        told = [f"{'; '.join(refusing)}: take over by hand"] if refusing else []
+        told += [f"{', '.join(silent)} did not answer and may be flying: take over by hand"] if silent else []
+        told += [f"{', '.join(landing)} told to land"] if landing else []
+        if returning:
+            told += [
+                f"{', '.join(returning)} told to return (planes do not land where they are), and circles above home"
+            ]
+        everybody = len(refusing) + len(silent) + len(landing) + len(returning) == len(self._vehicles)
+        told += [] if everybody else [f"{'the others' if told else 'all vehicles'} are disarmed on the ground"]
+        return f"the start was called off: {'; '.join(told)}"

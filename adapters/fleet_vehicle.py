@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 import re
 from bisect import bisect_left
+from collections import deque
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.flight_recorder import FlightRecorder, status_text
+from adapters.flight_recorder import FlightRecorder, landing_amsl_m, status_text
 from adapters.ground_station import Peer
 from adapters.guards import guard
 from adapters.mission_items import CHANGE_SPEED, TAKEOFF, WAYPOINT, MissionItem, goal_seq, plan_items
@@ -44,14 +46,17 @@ class VehicleStatus:
     silent_s: float  # since anything was heard
     text: str  # what the vehicle said last
     pace: Pace | None = None  # how it is doing against the plan, where that is watched
-    order: Order | None = None  # what it was last told and obeys
+    doing: str = ""  # in a word, as it says itself
 
 
 _TEXT_FOR_S = 30.0  # a vehicle repeats what keeps it from arming
 _COMPLAINT = re.compile(r"PreArm|Arm:|Preflight", re.IGNORECASE)
 _COMPLAINTS_KEPT = 5
 UNHEARD_S = 5.0  # a heartbeat comes every second
-_LOST_S = 60.0
+LOST_S = 60.0
+STANDS_M_S = 0.5
+NOT_KNOWN = "what it does is not known, its own failsafe may bring it home"
+_NEWS_KEPT = 20
 _RETURNED_M = 90.0  # beyond its circle, within which a plane has come home
 
 _PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
@@ -94,7 +99,11 @@ class FleetVehicle(Peer):
         self.items = plan_items(plan, fleet.frame)
         self.modes = MODES[plan.autopilot, plan.vehicle_class]
         self.recorder = FlightRecorder(
-            goal_seq(self.items), plan.waypoints_m[-1], plan.motion.waypoint_radius_m + 1.0, fleet.frame
+            goal_seq(self.items),
+            plan.waypoints_m[-1],
+            plan.motion.waypoint_radius_m + 1.0,
+            fleet.frame,
+            landing_amsl_m(plan),
         )
         self._uid = next((asked.uid for asked in fleet.mission.vehicles if asked.name == plan.name), None)
         self.guard = guard(fleet, plan)
@@ -114,7 +123,9 @@ class FleetVehicle(Peer):
         self.paused = False  # stands in its mission, by its own word
         self.order: Order | None = None  # obeyed last
         self.left_item: int | None = None  # flown to when it was told to leave its mission
-        self.warned = False  # that its way back to its mission is not proven
+        self.warned_m: FloatArray | None = None  # where it was said that its way back to its mission is not proven
+        self.strayed = False  # left its mission, or what it was told, not by our order
+        self._news: deque[str] = deque(maxlen=_NEWS_KEPT)
         self._flown_to = [item.seq for item in self.items if item.command in (TAKEOFF, WAYPOINT)]
         if plan.autopilot == "ardupilot":
             del self._flown_to[0]  # home
@@ -127,9 +138,11 @@ class FleetVehicle(Peer):
     @property
     def ended(self) -> bool:
         """Whether it has done all that its plan asks."""
+        if self.recorder.rebooted:
+            return False
         if self.recorder.landed:
             return True
-        if self.order == "pause" or not (self.recorder.reached_goal or self._returns):
+        if (self.order == "pause" and self.follows("pause")) or not (self.recorder.reached_goal or self._returns):
             return False
         if self.plan.end == "loiter" and not self._returns:
             return True
@@ -158,6 +171,62 @@ class FleetVehicle(Peer):
         """Whether it obeys an order to return."""
         return self.order in ("rtl", "land") and self.in_mode("rtl")
 
+    def follows(self, order: Order) -> bool:
+        """Return whether what it says of itself agrees with an order."""
+        if order == "pause":
+            return self.in_mode("hold") or (self.in_mode("auto") and self._stands)
+        return self.in_mode("auto") and not self.paused if order == "resume" else self.in_mode(order)
+
+    @property
+    def _stands(self) -> bool:
+        """Whether it stands in its mission; not all firmware says so."""
+        return self.paused or (self.order == "pause" and self.speed_m_s <= STANDS_M_S)
+
+    @property
+    def mode_name(self) -> str:
+        """The name of its mode in its own autopilot's words."""
+        return "unknown" if self.heartbeat is None else str(mavutil.mode_string_v10(self.heartbeat))
+
+    @property
+    def doing(self) -> str:
+        """What it does, in a word."""
+        if not self.armed:
+            fallen = self.recorder.disarmed_up_m is not None
+            return "landed" if self.recorder.landed else "fallen" if fallen else "waits"
+        if self.in_mode("auto"):
+            return "paused" if self._stands else "flying"
+        if self.in_mode("hold"):
+            return "paused" if self.order == "pause" else "holds"
+        return "returns" if self.in_mode("rtl") else "lands" if self.in_mode("land") else self.mode_name
+
+    @property
+    def state(self) -> str:
+        """What it does, by its own word, as the end of a sentence that begins with its name."""
+        if self.recorder.rebooted:
+            armed = "armed" if self.armed else "disarmed"
+            return f"has restarted its autopilot in flight, {self.where}, and is {armed}: what it does is not known"
+        if not self.armed:
+            up_m = self.recorder.disarmed_up_m
+            if up_m is not None:
+                return f"is disarmed in the air, {up_m:.0f} m above home"
+            return "has landed" if self.recorder.landed else "is disarmed on the ground"
+        if self.ended and (self.in_mode("auto") or self.in_mode("hold")):
+            return "is where its mission ends"
+        if self.in_mode("auto"):
+            return f"{'stands on its way' if self._stands else 'flies on with its mission'}, {self.where}"
+        if self.in_mode("rtl"):  # of a plane its landing, too
+            return "returns home"
+        if self.in_mode("land"):
+            return "lands where it is"
+        held = "holds" if self.in_mode("hold") else f"is in mode {self.mode_name}, not in its mission"
+        return f"{held}, {self.where}"
+
+    def take_news(self) -> list[str]:
+        """Return what it has said since the last call that is at least a warning, each once in a while."""
+        news = list(self._news)
+        self._news.clear()
+        return news
+
     def in_mode(self, mode: Mode) -> bool:
         """Return whether its last heartbeat says so."""
         return self.custom_mode == self.modes[mode]
@@ -179,6 +248,9 @@ class FleetVehicle(Peer):
                 self._velocity_m_s = np.array([message.vy, message.vx, -message.vz]) / 100.0  # north, east, down
             case "STATUSTEXT":
                 self._text, self._text_s = status_text(message), now_s
+                told_s = self._complaints.get(self._text, -math.inf)
+                if message.severity <= mavlink.MAV_SEVERITY_WARNING and now_s - told_s > _TEXT_FOR_S:
+                    self._news.append("".join(c if c.isprintable() else " " for c in self._text))
                 if message.severity <= mavlink.MAV_SEVERITY_WARNING or _COMPLAINT.match(self._text):
                     self._complaints[self._text] = now_s
                     while len(self._complaints) > _COMPLAINTS_KEPT:
@@ -192,14 +264,14 @@ class FleetVehicle(Peer):
         if (autopilot, vehicle_class) != (self.plan.autopilot, self.plan.vehicle_class):
             raise self.error(
                 f"expected {self.plan.autopilot} {self.plan.vehicle_class}, got {autopilot} {vehicle_class}: "
-                "the wrong vehicle, or correct the mission file and plan again; nothing was uploaded"
+                "the wrong vehicle, or correct the mission file and plan again"
             )
         self.check_alone()
         if self._uid is not None and self._uid not in self.unique_ids:
             told = " or ".join(sorted(self.unique_ids)) or "none"
             raise self.error(
                 f"expected the autopilot with uid {self._uid}, got {told}: the wrong vehicle, or correct the mission "
-                "file's uid; nothing was uploaded"
+                "file's uid"
             )
 
     def lacks(self, now_s: float) -> tuple[str, ...]:
@@ -236,17 +308,18 @@ class FleetVehicle(Peer):
 
     def lost(self, now_s: float) -> bool:
         """Return whether nothing more is to be expected of it."""
-        return self.silent_s(now_s) > _LOST_S or self.recorder.rebooted
+        return self.silent_s(now_s) > LOST_S or self.recorder.rebooted or self.recorder.fell(now_s)
 
     def failure(self, now_s: float) -> LinkError:
         """Return what to say of a vehicle that has not ended its mission."""
         where = f"at item {self.recorder.item}" if self.recorder.item is not None else "before its first item"
         if self.recorder.rebooted:
             return self.error(f"its autopilot restarted in flight, {where}")
+        if self.recorder.fell(now_s):
+            return self.error(f"disarmed in the air, {self.recorder.disarmed_up_m:.0f} m above home, {where}")
         if self.lost(now_s):
             return self.error(
-                f"not heard for {self.silent_s(now_s):.0f} s, {where}; it flies on by itself: "
-                "watch for it at its goal or home"
+                f"not heard for {self.silent_s(now_s):.0f} s, {where}; {NOT_KNOWN}: watch for it at its goal and home"
             )
         return self.error(f"still flying long after its planned end, {where}: take over, or watch again")
 
@@ -282,7 +355,7 @@ class FleetVehicle(Peer):
             silent_s=self.silent_s(now_s),
             text=self._text,
             pace=pace,
-            order=self.order,
+            doing=self.doing,
         )
 
     @property

@@ -12,6 +12,9 @@ Which instant is the arrival? The goal is an item of its own, and the first of t
 reached: MISSION_ITEM_REACHED or ArduPilot's "Reached command #N" for it; else MISSION_CURRENT has moved past it, and
 within the time between the last report before and the first after, it is the closest approach of the track. If all of
 that was lost, it is the closest approach of the whole track, provided that it came within the goal's reach.
+
+Which is the landing? That it is on the ground, by its own word; or that it is disarmed where the ground is known, or
+where it stands still: who is disarmed in the air falls.
 """
 
 from __future__ import annotations
@@ -26,21 +29,34 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.mission_items import degrees_to_wire, wire_to_degrees
 from missionplanner.geodesy import FloatArray, LocalFrame
-from missionplanner.plan import Trajectory
+from missionplanner.plan import Trajectory, VehiclePlan
 
 _ANCHORS = 3  # positions on either side of the start that tie the clocks
 _KEPT = 20  # positions before the start
 _LAT_MAX, _LON_MAX = degrees_to_wire(90.0), degrees_to_wire(180.0)
 _AIRBORNE_M = 1.5
+_NEAR_M, _NEAR_ACROSS_M = 3.0, 50.0  # above known ground, and beside where it is known
+_STANDS_M, _STANDS_S = 1.0, 3.0
+_FELL_S = 5.0  # from being disarmed to being seen on the ground
 _REBOOT_S = 10.0  # a clock that falls back by this much has been restarted; less is a message out of order
 _REACHED_TEXT = re.compile(r"Reached command #(\d+)")
 _IN_AIR = (mavlink.MAV_LANDED_STATE_IN_AIR, mavlink.MAV_LANDED_STATE_TAKEOFF, mavlink.MAV_LANDED_STATE_LANDING)
 
 
 class FlightRecorder:
-    """One vehicle's flight. ``goal_seq`` is the mission item whose reaching is the arrival."""
+    """One vehicle's flight. ``goal_seq`` is the mission item whose reaching is the arrival.
 
-    def __init__(self, goal_seq: int, goal_m: FloatArray, reach_m: float, frame: LocalFrame) -> None:
+    ``landing_amsl_m`` is the ground where it is to land; nan: not known.
+    """
+
+    def __init__(
+        self,
+        goal_seq: int,
+        goal_m: FloatArray,
+        reach_m: float,
+        frame: LocalFrame,
+        landing_amsl_m: float = math.nan,
+    ) -> None:
         self._goal_seq = goal_seq
         self._goal_m = goal_m
         self._reach_m = reach_m
@@ -48,7 +64,8 @@ class FlightRecorder:
         self._heard_s: list[float] = []  # link clock, of each position
         self._boot_s: list[float] = []  # vehicle clock
         self._geo: list[tuple[float, float, float]] = []
-        self._ground_m = math.nan
+        self._start_geo: tuple[float, float, float] | None = None
+        self._landing_m = landing_amsl_m
         self._begin(None)
 
     def _begin(self, start_s: float | None) -> None:
@@ -63,6 +80,8 @@ class FlightRecorder:
         self._after_s: float | None = None  # first seen past it
         self._airborne = False
         self._landed_s: float | None = None
+        self._disarmed_s: float | None = None  # since when, while it was not seen on the ground
+        self._disarmed_k = 0  # positions before
         del self._heard_s[:-_KEPT], self._boot_s[:-_KEPT], self._geo[:-_KEPT]
 
     @property
@@ -74,10 +93,12 @@ class FlightRecorder:
         """Begin the record of a flight at the fleet's common start, in the link's clock."""
         self._begin(now_s)
         if self._geo:
-            self._ground_m = self._geo[-1][2]
+            self._start_geo = self._geo[-1]
 
     def receive(self, message: Any, now_s: float) -> None:
         """Take one of the vehicle's messages."""
+        if self._start_s is not None and hasattr(message, "time_boot_ms"):
+            self._look_at_clock(message.time_boot_ms / 1e3, now_s)
         match message.get_type():
             case "GLOBAL_POSITION_INT":
                 self._positioned(message, now_s)
@@ -99,8 +120,10 @@ class FlightRecorder:
                 elif message.landed_state == mavlink.MAV_LANDED_STATE_ON_GROUND:
                     self._touched_down(now_s)
             case "HEARTBEAT" if self._start_s is not None:
-                if not message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED:
-                    self._touched_down(now_s)
+                if message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED:
+                    self._disarmed_s = None
+                else:
+                    self._disarmed(now_s)
 
     def trajectory(self) -> Trajectory:
         """Return the track since the common start, until touch-down if there was one; S is 0 before any position."""
@@ -164,6 +187,17 @@ class FlightRecorder:
             return None
         return self.flight_time_s(self._landed_s)
 
+    @property
+    def disarmed_up_m(self) -> float | None:
+        """How high above its start it is disarmed without being seen on the ground; None: it is not."""
+        if self._disarmed_s is None or self.landed:
+            return None
+        return math.nan if self._start_geo is None else self._geo[-1][2] - self._start_geo[2]
+
+    def fell(self, now_s: float) -> bool:
+        """Return whether it was disarmed in the air: for long enough to be seen on the ground otherwise."""
+        return self.disarmed_up_m is not None and self._disarmed_s is not None and now_s - self._disarmed_s > _FELL_S
+
     def flight_time_s(self, now_s: float) -> float:
         """Return an instant of the link's clock as time since the common start in the vehicle's clock."""
         k = max(bisect_left(self._heard_s, now_s + 1e-9) - 1, 0)
@@ -177,7 +211,6 @@ class FlightRecorder:
             return  # no place on earth
         boot_s = message.time_boot_ms / 1e3
         if self._boot_s and boot_s < self._boot_s[-1]:
-            self.rebooted |= self._start_s is not None and boot_s < self._boot_s[-1] - _REBOOT_S
             if self._start_s is None:  # not flying yet: forget the time before
                 self._heard_s.clear()
                 self._boot_s.clear()
@@ -185,7 +218,8 @@ class FlightRecorder:
             else:
                 return  # late on the link, or of another life
         alt_m = message.alt / 1e3
-        self._airborne |= self._start_s is not None and alt_m > self._ground_m + _AIRBORNE_M
+        if self._start_s is not None and self._start_geo is not None:
+            self._airborne |= alt_m > self._start_geo[2] + _AIRBORNE_M
         self._heard_s.append(now_s)
         self._boot_s.append(boot_s)
         self._geo.append((wire_to_degrees(message.lat), wire_to_degrees(message.lon), alt_m))
@@ -207,13 +241,49 @@ class FlightRecorder:
             self._reached_s = now_s
         self.reached_goal = True
 
+    def _look_at_clock(self, boot_s: float, now_s: float) -> None:
+        """Notice a restart in flight, also when what is said after it would pass for a landing."""
+        if not self._boot_s or boot_s >= self._boot_s[-1] - _REBOOT_S:
+            return
+        if self._landed_s is None or now_s - boot_s < self._landed_s:
+            self.rebooted, self.landed, self._landed_s = True, False, None
+
+    def _disarmed(self, now_s: float) -> None:
+        if not self._airborne or self.landed or self.rebooted:
+            return
+        if self._disarmed_s is None:
+            self._disarmed_s, self._disarmed_k = now_s, len(self._boot_s)
+        if self._is_near_ground() or self._stands():
+            self._touched_down(self._disarmed_s)
+
+    def _is_near_ground(self) -> bool:
+        position_m = self.position_m
+        if position_m is None:
+            return False
+        grounds_m = [np.array([*self._goal_m[:2], self._landing_m])]
+        if self._start_geo is not None:
+            grounds_m.append(self._frame.to_local(*self._start_geo))
+        return any(
+            abs(position_m[2] - ground_m[2]) <= _NEAR_M and np.hypot(*(position_m - ground_m)[:2]) <= _NEAR_ACROSS_M
+            for ground_m in grounds_m
+        )
+
+    def _stands(self) -> bool:
+        """Return whether it has not moved for some seconds since it was disarmed."""
+        if self._disarmed_k >= len(self._boot_s) or self._boot_s[-1] - self._boot_s[self._disarmed_k] < _STANDS_S:
+            return False
+        since = max(self._disarmed_k, bisect_left(self._boot_s, self._boot_s[-1] - _STANDS_S))
+        lat_deg, lon_deg, alt_m = np.array(self._geo[since:]).T
+        position_m = self._frame.to_local(lat_deg, lon_deg, alt_m)
+        return bool(np.max(np.linalg.norm(position_m - position_m[-1], axis=1)) <= _STANDS_M)
+
     def _lifted_off(self) -> None:
         self._airborne = True
         self.landed = False
         self._landed_s = None
 
     def _touched_down(self, now_s: float) -> None:
-        if self._airborne and not self.landed:
+        if self._airborne and not self.landed and not self.rebooted:
             self.landed = True
             self._landed_s = now_s
 
@@ -224,6 +294,11 @@ class FlightRecorder:
         near = slice(max(k - _ANCHORS, 0), k + _ANCHORS)
         pairs = zip(self._heard_s[near], self._boot_s[near], strict=True)
         return max(boot_s - (heard_s - self._start_s) for heard_s, boot_s in pairs)
+
+
+def landing_amsl_m(plan: VehiclePlan) -> float:
+    """Return the altitude of the ground where a vehicle is to land at its goal; nan where it is not to."""
+    return float(plan.trajectory.position_m[-1, 2]) if plan.end == "land" else math.nan
 
 
 def status_text(message: Any) -> str:

@@ -25,7 +25,7 @@ from typing import Any, Literal
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.flight_recorder import FlightRecorder
+from adapters.flight_recorder import FlightRecorder, landing_amsl_m
 from adapters.ground_station import Peer
 from adapters.mission_items import TAKEOFF, WAYPOINT, goal_seq, plan_items, wire_to_degrees
 from adapters.mission_protocol import AUTOPILOT_COMPONENT, Party
@@ -374,7 +374,8 @@ def _flown(
 ) -> tuple[FlownVehicle | None, dict[int, float]]:
     """Return a vehicle's flight since the fleet's start, and when it reported its waypoints as reached."""
     items = plan_items(vehicle, frame)
-    recorder = FlightRecorder(goal_seq(items), vehicle.waypoints_m[-1], vehicle.motion.waypoint_radius_m + 1.0, frame)
+    reach_m = vehicle.motion.waypoint_radius_m + 1.0
+    recorder = FlightRecorder(goal_seq(items), vehicle.waypoints_m[-1], reach_m, frame, landing_amsl_m(vehicle))
     begun = False
     reported: dict[int, float] = {}
     for at_s, message in records:

@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, closing, nullcontext
 from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ from rich.text import Text
 
 from adapters.fleet_flight import Request
 from adapters.order_box import OrderBox
-from missionplanner.errors import LinkError
+from missionplanner.errors import LinkError, MissionError
 from missionplanner.terminal import Keys, stderr
 
 if TYPE_CHECKING:
@@ -40,7 +40,6 @@ _KEYS: dict[str, Order] = {"p": "pause", "c": "resume", "R": "rtl", "L": "land"}
 _LEAVING: dict[str, Order | None] = {"f": None, "p": "pause", "r": "rtl", "l": "land"}
 _HELP = "p pause  c continue  R return  L land where they are  Ctrl-C leave"
 _QUESTION = "leave them: f fly on unattended  p pause  r return  l land where they are  w watch on  (Ctrl-C: fly on)"
-_DOING = {"pause": "paused ", "rtl": "returns", "land": "lands  "}
 
 
 def fly_and_watch(
@@ -57,34 +56,36 @@ def fly_and_watch(
     ``start_s`` returns when to start on the link's clock (None: at once), and may tell of it.
     """
     failure: LinkError | None = None
-    with _Interrupts() as interrupts, Keys() as keys:
+    box = OrderBox(folder / ORDERS_FOLDER)  # before anybody flies: it may not be possible
+    with closing(box), _Interrupts() as interrupts, Keys() as keys:
         try:
             with _Readiness([vehicle.name for vehicle in fleet_plan.vehicles]) as readiness:
                 link.start(readiness.lacks, at_s=start_s(readiness.remark))
-        except LinkError as error:
-            if not link.armed:
-                raise
-            failure = error  # somebody did not answer when the start was called off, and may be flying
-            _print(f"{error}; watching")
         except KeyboardInterrupt:
             interrupts.raises = False
             if not simulated:
                 leave(link, keys, interrupts)
             raise
-        interrupts.raises = False
-        box = OrderBox(folder / ORDERS_FOLDER)
-        try:
-            flight = _watch(link, fleet_plan, pacer, _Bridge(keys, interrupts, box, asks=not simulated))
-        except KeyboardInterrupt:
-            if not simulated:
+        except LinkError as error:
+            interrupts.raises = False
+            if not (link.started and link.armed):
+                if link.armed and not simulated:
+                    _last_word(link)
+                raise
+            failure = error  # somebody has left the ground, or did not answer when the start was called off
+            _print(f"{error}; watching")
+        except BaseException:
+            interrupts.raises = False
+            if link.armed and not simulated:
                 _end(link)
             raise
-        except LinkError:
-            if not simulated and link.flying:
-                _last_word(link)
+        interrupts.raises = False
+        try:
+            flight = _watch(link, fleet_plan, pacer, _Bridge(keys, interrupts, box, asks=not simulated))
+        except BaseException as error:  # whatever it is: nobody watches them now
+            if not simulated and (link.flying or isinstance(error, KeyboardInterrupt)):
+                _end(link)
             raise
-        finally:
-            box.close()
     if failure is not None:
         raise failure
     return flight
@@ -100,11 +101,13 @@ def _watch(link: FlightControl, fleet_plan: FleetPlan, pacer: Pacer, bridge: _Br
         for vehicle in fleet:
             done_s = ends_s[vehicle.sysid] if vehicle.landed else (vehicle.t_s or 0.0)
             late_s = None if vehicle.pace is None else vehicle.pace.lateness_s
-            doing = "landed " if vehicle.landed else _DOING.get(vehicle.order or "", "flying ")
             item = "" if vehicle.item is None or vehicle.landed else f" {vehicle.item}/{vehicle.items - 1}"
             late = "" if late_s is None or vehicle.landed else f" {late_s:+.1f} s"
             progress.update(
-                bars[vehicle.sysid], completed=done_s, description=f"{doing} {vehicle.name}{item}{late}", refresh=False
+                bars[vehicle.sysid],
+                completed=done_s,
+                description=f"{vehicle.doing:<7} {vehicle.name}{item}{late}",
+                refresh=False,
             )
 
     screen: AbstractContextManager[object] = nullcontext()
@@ -146,11 +149,16 @@ def _call_off(link: FlightControl) -> None:
             _print(f"not started, and left disarmed on the ground: {', '.join(grounded)}")
     except LinkError as error:
         _print(str(error))
+    except Exception as error:  # of the links themselves: how all are left is to be said all the same
+        _print(f"who has not started could not be told to stay on the ground ({error}): take over by hand")
 
 
 def _last_word(link: FlightControl) -> None:
-    flying = "nobody watches them now: " if link.flying else "nobody flies: "
-    _print(flying + "; ".join(link.standing()))
+    standing = "; ".join(link.standing())
+    if link.flying:
+        _print(f"nobody watches them now: {standing}; who misses a ground station may return by its own failsafe")
+    else:
+        _print(f"nobody flies: {standing}")
 
 
 def _print(text: str) -> None:
@@ -235,7 +243,10 @@ class _Bridge:
     def answer(self, outcomes: Sequence[Ordered]) -> None:
         """Pass on what came of an order."""
         if self._box is not None:
-            self._box.answer(outcomes)
+            try:
+                self._box.answer(outcomes)
+            except MissionError as error:  # a full disk: they fly on
+                tell(f"{error}: the other terminal does not hear what came of its order")
 
     def __rich__(self) -> Text:
         if self._asking:

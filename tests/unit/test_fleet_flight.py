@@ -164,7 +164,7 @@ def test_planes_told_to_land_return_and_that_is_said() -> None:
 
 def test_a_way_back_that_is_not_proven_is_flown_only_when_asked_for_twice() -> None:
     rig = started(long_legs("px4", 1))
-    script = Script(rig, (40.0, "rtl", ()), (63.0, "resume", ()), (65.0, "resume", ()))
+    script = Script(rig, (40.0, "rtl", ()), (63.0, "resume", ("uav1",)), (65.0, "resume", ("uav1",)))
     flight = rig.link.watch(helm=script)
     _, first, second = script.answers
     assert first[0].result == "refused"
@@ -274,7 +274,7 @@ def test_a_gap_is_told_and_the_log_goes_on_after_it(tmp_path: Path) -> None:
     assert flight.vehicles[0].landed_s is not None
     lost, back = [line for line in told if "heard" in line]
     assert lost.startswith("uav1: not heard for 5 s, at item ")
-    assert lost.endswith("it flies on by itself")
+    assert lost.endswith("what it does is not known, its own failsafe may bring it home")
     assert back.startswith("uav1: heard again, at item ")
     records = read_log(tmp_path / "uav1.tlog").records
     times = np.array([t for t, m in records if m.get_srcSystem() == 1]) - 1.7e9 - begun_s
@@ -320,7 +320,8 @@ def test_one_that_vanishes_in_mid_start_leaves_a_fleet_whose_state_is_said() -> 
     said = str(error.value)
     assert "uav2 (sysid 2): expected an answer to MISSION_START, got none" in said
     assert "uav2 did not answer and may be flying: take over by hand" in said
-    assert "the others are disarmed on the ground" in said
+    assert "uav1, uav3 told to land" in said
+    assert "on the ground" not in said  # they had left it
     assert "\n" not in said
     rig.sim.advance(60.0)
     assert [link.autopilot.landed for link in rig.sim.links][0::2] == [True, True]
@@ -366,7 +367,7 @@ def test_who_is_not_heard_when_the_watch_ends_is_not_said_to_fly_on() -> None:
     rig.pipes[0].down = lambda _message: None
     rig.link._station.settle(20.0)
     (words,) = rig.link.standing()
-    assert "when it was last heard, 20 s ago: what it does now is not known" in words
+    assert "when it was last heard, 20 s ago: what it does is not known, its own failsafe may" in words
 
 
 def test_who_stands_already_is_left_standing_and_who_flies_already_is_left_flying() -> None:

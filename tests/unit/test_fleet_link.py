@@ -692,7 +692,7 @@ def test_one_that_vanishes_in_flight_does_not_stop_the_watch_of_the_others() -> 
     rig.link.start()
     rig.sim.advance(20.0)
     rig.pipes[1].down = lambda m: None
-    with pytest.raises(LinkError, match=r"uav2 \(sysid 2\): not heard for \d+ s, .*it flies on by itself"):
+    with pytest.raises(LinkError, match=r"uav2 \(sysid 2\): not heard for \d+ s, .*what it does is not known, its own failsafe may bring it home: watch for it"):
         rig.link.watch()
     flight = rig.link.flight()
     assert [v.arrival_s is None for v in flight.vehicles] == [False, True, False]

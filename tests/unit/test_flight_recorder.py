@@ -21,7 +21,7 @@ def position(boot_s: float, x_m: float, z_m: float = 1230.0) -> object:
 
 
 def recorder() -> FlightRecorder:
-    return FlightRecorder(goal_seq=4, goal_m=GOAL_M, reach_m=3.0, frame=FRAME)
+    return FlightRecorder(goal_seq=4, goal_m=GOAL_M, reach_m=3.0, frame=FRAME, landing_amsl_m=1190.0)
 
 
 def fly(
@@ -138,11 +138,75 @@ def test_landing(way: str) -> None:
     assert not flight.landed
     flight = recorder()
     fly(flight)
+    flight.receive(position(BOOT_S + 69.85, 110.0, 1191.0), 69.85)
     flight.receive(on_ground, 69.9)
     assert flight.landed
     assert flight.landed_s == pytest.approx(59.9, abs=1e-6)
     flight.receive(on_ground, 80.0)
     assert flight.landed_s == pytest.approx(59.9, abs=1e-6)
+
+
+DISARMED = mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 3, 3)
+
+
+def fall(flight: FlightRecorder, x_m: float, from_m: float, rate_m_s: float, end_s: float) -> None:
+    """Go on at ``x_m`` from 70 s on, sinking, disarmed."""
+    for t in np.arange(70.0, end_s, 0.2):
+        flight.receive(position(BOOT_S + t, x_m, from_m - rate_m_s * (t - 70.0)), t)
+        if t % 1.0 < 0.1:
+            flight.receive(DISARMED, t)
+
+
+@pytest.mark.parametrize("rate_m_s", [1.0, 5.0])  # under a parachute, or faster
+def test_who_is_disarmed_in_the_air_has_not_landed(rate_m_s: float) -> None:
+    flight = recorder()
+    fly(flight)
+    fall(flight, 110.0, 1230.0, rate_m_s, 72.0)
+    assert not flight.landed
+    assert flight.disarmed_up_m == pytest.approx(30.0 - 2.0 * rate_m_s, abs=rate_m_s)
+    assert not flight.fell(72.0)
+    fall(flight, 110.0, 1230.0, rate_m_s, 76.5)
+    assert not flight.landed
+    assert flight.fell(76.5)
+
+
+def test_who_is_disarmed_and_stands_still_has_landed_wherever_that_is() -> None:
+    flight = recorder()
+    fly(flight)
+    fall(flight, 110.0, 1215.0, 0.0, 75.0)  # nobody knew of ground there
+    assert flight.landed
+    assert flight.landed_s == pytest.approx(60.0, abs=0.3)  # when it was disarmed
+    assert flight.disarmed_up_m is None
+    assert not flight.fell(80.0)
+
+
+@pytest.mark.parametrize("x_m", [0.0, 110.0])
+def test_the_height_of_known_ground_counts_only_near_it(x_m: float) -> None:
+    """A valley's floor is as high as some landing place; who is disarmed above it falls."""
+    flight = FlightRecorder(4, np.array([900.0, 0.0, 1240.0]), 3.0, FRAME, landing_amsl_m=1229.0)
+    fly(flight)
+    fall(flight, x_m, 1230.0 if x_m else 1201.0, 1.0, 71.0)
+    assert flight.landed == (x_m == 0.0)
+
+
+def test_a_restart_in_flight_is_no_landing() -> None:
+    """A booting autopilot says that it is on the ground, before or after its clock is heard."""
+    on_ground = mavlink.MAVLink_extended_sys_state_message(0, mavlink.MAV_LANDED_STATE_ON_GROUND)
+    clock = mavlink.MAVLink_system_time_message(0, 2_000)
+    for said in ([on_ground, clock], [clock, DISARMED, on_ground]):
+        flight = recorder()
+        fly(flight)
+        for message in said:
+            flight.receive(message, 74.0)
+        assert flight.rebooted
+        assert not flight.landed
+        assert flight.landed_s is None
+    flight = recorder()  # but who is switched off and on again after it has landed has landed
+    fly(flight)
+    flight.receive(on_ground, 70.0)
+    flight.receive(clock, 100.0)
+    assert flight.landed
+    assert not flight.rebooted
 
 
 def test_a_bounce_is_no_landing() -> None:
