@@ -169,6 +169,8 @@ def restore(
     LinkError
         Not everybody answers, or somebody is another vehicle than the one saved, or armed: then nothing was sent. A
         vehicle refuses, or holds something else afterwards.
+    KeyboardInterrupt
+        With what was left.
     """
     peers = {vehicle.sysid: Peer(Party(vehicle.name, vehicle.sysid)) for vehicle in vehicles}
     station: Station[Peer] = Station(peers, endpoints, clock, log)
@@ -178,26 +180,23 @@ def restore(
     for vehicle in vehicles:
         _expect_the_same_vehicle(peers[vehicle.sysid], vehicle)
     sent: dict[int, tuple[str, ...]] = {}
-    station.together(
-        {v.sysid: _restoring(station, peers[v.sysid], v, progress, sent) for v in vehicles},
-        after_failure="the others hold what was saved; restore again",
-    )
+
+    def told() -> str:
+        whole = [vehicle.name for vehicle in vehicles if vehicle.sysid in sent]
+        return (f"{', '.join(whole)}: all that was saved is held; " if whole else "") + "restore again"
+
+    try:
+        station.together(
+            {v.sysid: _restoring(station, peers[v.sysid], v, progress, sent) for v in vehicles}, after_failure=told
+        )
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("; ".join(text for text in (station.left_behind(), told()) if text)) from None
     return sent
 
 
 def _expect_the_same_vehicle(peer: Peer, saved: Saved) -> None:
-    peer.check_alone()
-    if (peer.autopilot, peer.vehicle_class) != (saved.autopilot, saved.vehicle_class):
-        raise peer.error(
-            f"expected {saved.autopilot} {saved.vehicle_class}, got {peer.autopilot} {peer.vehicle_class}: it is not "
-            "the vehicle that was saved; nothing was restored"
-        )
-    if saved.unique_ids and not peer.unique_ids & set(saved.unique_ids):
-        told = " or ".join(sorted(peer.unique_ids)) or "none"
-        raise peer.error(
-            f"expected the autopilot with uid {' or '.join(saved.unique_ids)}, got {told}: it is not the vehicle that "
-            "was saved; nothing was restored"
-        )
+    remedy = "it is not the vehicle that was saved; nothing was restored"
+    peer.expect_identity((saved.autopilot, saved.vehicle_class), saved.unique_ids, remedy)
     if peer.armed:
         raise peer.error("is armed: land and disarm it first; nothing was restored")
 
@@ -223,7 +222,10 @@ def _restoring(
         yield from station.uploading(peer, saved.autopilot, wanted, tell, kind)
         if wanted:
             yield from station.reading_back(peer, saved.autopilot, wanted, mission_type=kind)
-        elif _differing(peer, wanted, (held := (yield from station.downloading(peer, mission_type=kind))), kind):
+            continue
+        held = yield from station.downloading(peer, mission_type=kind)
+        peer.uploads.pop(kind, None)
+        if _differing(peer, wanted, held, kind):
             raise peer.error(f"still holds a {what_is_sent(kind)} of {len(held)} items, where it held none")
     sent[saved.sysid] = tuple(changed)
 

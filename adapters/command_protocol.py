@@ -65,7 +65,9 @@ class Command:
                 f"{self._name} (sysid {self._sysid}): expected an answer to {command_name(self._number)}, got none"
             )
         self._due_s = now_s + self._retry_s
-        message = mavlink.MAVLink_command_long_message(self._sysid, 1, self._number, min(self.copies, 255), *self._params)
+        message = mavlink.MAVLink_command_long_message(
+            self._sysid, 1, self._number, min(self.copies, 255), *self._params
+        )
         self.copies += 1
         return [message]
 

@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 from adapters.backup import Saved, saving
 from adapters.endpoint import Endpoint
-from adapters.fleet_link import Listener, Stranger, homing
 from adapters.ground_station import Clock, Steps, TransferProgress
 from adapters.guards import read_areas
+from adapters.listener import Listener, Stranger
 from adapters.mission_protocol import Party
 from missionplanner.geodesy import GeoPoint
+from missionplanner.mission import Vehicle
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,33 +42,31 @@ def download(
     endpoints: Sequence[Endpoint],
     clock: Clock,
     *,
-    names: Mapping[int, str] | None = None,
+    asked: Mapping[int, Vehicle] | None = None,
     expected: Sequence[int] | None = None,
     timeout_s: float = 30.0,
     progress: TransferProgress | None = None,
 ) -> tuple[Found, ...]:
     """Read missions, fences and rally points, and change nothing: of those expected, or of all that are heard.
 
-    ``names`` by sysid are theirs in the files; others are called after their sysid.
+    ``asked`` by sysid are a mission's vehicles, which they must be, by whose names they are saved; others are called
+    after their sysid.
 
     Raises
     ------
     LinkError
-        Nobody, or not everybody answers; a vehicle of a kind that we do not know; two vehicles with one sysid.
+        Nobody, or not everybody answers; a vehicle of a kind that we do not know, or another than asked for; two
+        vehicles with one sysid.
     """
-    called = names or {}
     station = Listener(endpoints, clock, None)
-    wanted = None if expected is None else sorted(set(expected))
-    station.wait_for(wanted, {k: f"{called.get(k, 'vehicle')} (sysid {k})" for k in wanted or ()}, timeout_s)
-    peers = {k: peer for k, peer in sorted(station.peers.items()) if wanted is None or k in wanted}
+    peers = station.acquaint(expected, asked or {}, timeout_s)
     found: dict[int, Found] = {}
 
     def finding(sysid: int, peer: Stranger) -> Steps:
-        peer.party = Party(called.get(sysid, f"sysid{sysid}"), sysid)
-        yield from station.identifying(peer)
-        peer.check_alone()
+        if sysid not in (asked or {}):
+            peer.party = Party(f"sysid{sysid}", sysid)
         saved = yield from saving(station, peer, progress)
-        yield from homing(station, peer)
+        yield from station.homing(peer)
         found[sysid] = Found(saved, peer.home)
 
     station.together({k: finding(k, peer) for k, peer in peers.items()}, after_failure="nothing was written")

@@ -17,16 +17,19 @@ from adapters.backup import Saved, saving
 from adapters.endpoint import Endpoint
 from adapters.fleet_flight import FlightControl, ReadyProgress, WatchProgress
 from adapters.fleet_vehicle import FleetVehicle, Order, VehicleStatus
-from adapters.ground_station import ANSWER_S, Clock, Peer, Station, Steps, TransferProgress, WallClock
+from adapters.ground_station import Clock, Steps, TransferProgress, WallClock
 from adapters.guards import Guard, breach, fence_limits, limit_breach
+from adapters.listener import Listener, Stranger
 from adapters.mavsdk_link import Mavsdk
-from adapters.mission_items import MissionItem, wire_to_degrees
-from adapters.mission_protocol import Party, what_is_sent
+from adapters.mission_items import MissionItem
+from adapters.mission_protocol import what_is_sent
 from adapters.parameter_protocol import ParameterValue, mismatch
 from adapters.return_settings import Setting, return_settings
 from adapters.telemetry_log import FleetLog
 from adapters.vehicle_parameters import Comparison, compared, reading_motion
+from missionplanner.errors import LinkError
 from missionplanner.geodesy import GeoPoint
+from missionplanner.mission import Vehicle
 from missionplanner.vehicle import Autopilot, VehicleClass
 
 __all__ = [
@@ -54,6 +57,9 @@ class ParameterChange:
     name: str
     before: float
     after: float
+
+
+_UNREAD = "whoever is not named may hold its new mission, not read back; nothing was armed"
 
 
 class FleetLink(FlightControl):
@@ -88,7 +94,10 @@ class FleetLink(FlightControl):
         goings = {sysid: self._station.identifying(vehicle) for sysid, vehicle in self._vehicles.items()}
         self._station.together(goings, after_failure="nothing was uploaded")
         for vehicle in self._vehicles.values():
-            vehicle.check_identity()
+            try:
+                vehicle.check_identity()
+            except LinkError as error:
+                raise LinkError(f"{error}; nothing was uploaded") from error
 
     def compare_parameters(self) -> tuple[Comparison, ...]:
         """Read the parameters that decide how each vehicle moves, and compare them with what it was planned with.
@@ -135,7 +144,7 @@ class FleetLink(FlightControl):
         if via == "mavsdk":
             with Mavsdk(self._station) as sdk:
                 goings = {k: self._uploading_by(sdk, vehicle, progress) for k, vehicle in self._vehicles.items()}
-                self._station.together(goings, after_failure="nothing was armed")
+                self._station.together(goings, after_failure=_UNREAD)
             return
         goings = {sysid: self._uploading(vehicle, progress) for sysid, vehicle in self._vehicles.items()}
         self._station.together(goings, after_failure="nothing was armed")
@@ -307,56 +316,26 @@ def download_missions(
     clock: Clock,
     *,
     expected: Sequence[int] | None = None,
+    asked: Mapping[int, Vehicle] | None = None,
     timeout_s: float = 30.0,
     progress: TransferProgress | None = None,
     log: FleetLog | None = None,
 ) -> dict[int, Downloaded]:
     """Read what vehicles hold, by sysid, and change nothing: of those expected, or of all that are heard.
 
+    ``asked`` by sysid are a mission's vehicles, which they must be.
+
     Raises
     ------
     LinkError
-        Nobody, or not everybody answers; a vehicle of a kind that we do not know; two vehicles with one sysid.
+        Nobody, or not everybody answers; a vehicle of a kind that we do not know, or another than asked for; two
+        vehicles with one sysid.
     """
     station = Listener(endpoints, clock, log)
-    wanted = None if expected is None else sorted(set(expected))
-    station.wait_for(wanted, {sysid: f"sysid {sysid}" for sysid in wanted or ()}, timeout_s)
+    peers = station.acquaint(expected, asked or {}, timeout_s)
     found: dict[int, Downloaded] = {}
-    peers = {k: peer for k, peer in station.peers.items() if wanted is None or k in wanted}
     station.together({k: _finding(station, peer, progress, found) for k, peer in peers.items()})
     return dict(sorted(found.items()))
-
-
-class Listener(Station["Stranger"]):
-    """A ground station that takes in whoever it hears."""
-
-    def __init__(self, endpoints: Sequence[Endpoint], clock: Clock, log: FleetLog | None) -> None:
-        super().__init__({}, endpoints, clock, log)
-
-    def met(self, sysid: int) -> None:
-        self.peers[sysid] = Stranger(Party(f"vehicle {sysid}", sysid))
-
-
-class Stranger(Peer):
-    """A vehicle that no plan describes."""
-
-    home: GeoPoint | None = None
-
-    def receive(self, message: Message, now_s: float) -> list[Message]:
-        if message.get_type() == "HOME_POSITION":
-            self.home = GeoPoint(
-                wire_to_degrees(message.latitude), wire_to_degrees(message.longitude), message.altitude / 1e3
-            )
-        return super().receive(message, now_s)
-
-
-def homing(station: Listener, peer: Stranger) -> Steps:
-    """Ask a vehicle for its home; one without a home yet refuses."""
-    home = mavlink.MAVLINK_MSG_ID_HOME_POSITION
-    result = yield from station.commanding(peer, mavlink.MAV_CMD_REQUEST_MESSAGE, home)
-    end_s = station.clock.now_s() + ANSWER_S
-    while result == mavlink.MAV_RESULT_ACCEPTED and peer.home is None and station.clock.now_s() < end_s:
-        yield
 
 
 def _finding(
@@ -386,7 +365,7 @@ def _finding(
             remarks.append(f"{held.name} is {held.value:g}: its return is known only for {setting.value:g}")
     if height_m < 0.0:
         remarks.append(f"{held_height.name} is {held_height.value:g}: it returns at its present height")
-    yield from homing(station, peer)
+    yield from station.homing(peer)
     found[peer.party.sysid] = Downloaded(
         peer.party.sysid, autopilot, vehicle_class, items, peer.home, height_m, tuple(remarks), parameters, notes
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 import select
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from typing import Any, Generic, Protocol, TypeVar, cast
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -230,6 +230,24 @@ class Peer:
         autopilot, vehicle_class = self.known_kind()
         return mismatches(sent, held, autopilot, vehicle_class, mission_type=mission_type)
 
+    def expect_identity(self, kind: tuple[str, str] | None, uids: Collection[str], remedy: str) -> None:
+        """Refuse a vehicle of another kind than expected, two behind one sysid, and another autopilot than expected.
+
+        ``uids`` are the unique ids of which it must tell one; none: any vehicle will do. It must have been asked.
+
+        Raises
+        ------
+        LinkError
+            It is refused, with what to do.
+        """
+        if kind is not None and (self.autopilot, self.vehicle_class) != kind:
+            expected, got = " ".join(kind), f"{self.autopilot} {self.vehicle_class}"
+            raise self.error(f"expected {expected}, got {got}: {remedy}")
+        self.check_alone()
+        if uids and self.unique_ids.isdisjoint(uids):
+            told = " or ".join(sorted(self.unique_ids)) or "none"
+            raise self.error(f"expected the autopilot with uid {' or '.join(uids)}, got {told}: {remedy}")
+
     def check_alone(self) -> None:
         """Refuse a sysid that two autopilots share, though both are heard from one address.
 
@@ -298,7 +316,9 @@ class Station(Generic[AnyPeer]):
         self.settle(LISTEN_S)
         while True:
             known = [sysid for sysid, peer in self.peers.items() if peer.heartbeat is not None]
-            missing = ["a vehicle"] if not known else []
+            missing = [f"a heartbeat of sysid {sysid}" for sysid in sorted(self.heard - set(known))] or (
+                ["a vehicle"] if not known else []
+            )
             if sysids is not None:
                 missing = [names[sysid] for sysid in sysids if sysid not in known]
             if not missing:
@@ -307,12 +327,19 @@ class Station(Generic[AnyPeer]):
                 raise LinkError(self._missing(missing, set(sysids or ()), timeout_s))
             self.step()
 
-    def together(self, goings: Mapping[int, Steps], after_failure: str = "") -> None:
-        """Go on with all vehicles side by side; when some fail, let the others finish, then say who failed."""
+    def together(self, goings: Mapping[int, Steps], after_failure: str | Callable[[], str] = "") -> None:
+        """Go on with all vehicles side by side; when some fail, let the others finish, then say who failed.
+
+        What was sent to others and not read back is told too, and ``after_failure``, or what it then returns.
+        """
         running = dict(goings)
         failures: list[LinkError] = []
+        failed: set[int] = set()
         while running:
-            self.exchange()
+            try:
+                self.exchange()
+            except LinkError as failure:  # of the links: nobody goes on
+                raise self._with_what_is_left(failure, failed, after_failure) from failure
             for sysid in list(running):
                 try:
                     next(running[sysid])
@@ -320,12 +347,30 @@ class Station(Generic[AnyPeer]):
                     del running[sysid]
                 except LinkError as failure:
                     failures.append(self._with_its_cause(sysid, failure))
+                    failed.add(sysid)
                     del running[sysid]
             if running:
                 self.clock.wait(WAIT_S)
         if failures:
-            error = joined(failures)
-            raise LinkError(f"{error}; {after_failure}") if after_failure else error
+            raise self._with_what_is_left(joined(failures), failed, after_failure)
+
+    def left_behind(self, told: Collection[int] = ()) -> str:
+        """Return what vehicles hold of what was sent and not read back; empty: nothing was.
+
+        Of those already ``told`` only transfers that were not what failed.
+        """
+        names: dict[str, list[str]] = {}
+        for sysid, peer in self.peers.items():
+            for upload in peer.uploads.values():
+                if upload.done or sysid not in told:
+                    names.setdefault(upload.state, []).append(peer.party.vehicle)
+        return "; ".join(f"{', '.join(who)}: {state}" for state, who in names.items())
+
+    def _with_what_is_left(
+        self, error: LinkError, failed: Collection[int], after_failure: str | Callable[[], str]
+    ) -> LinkError:
+        after = after_failure if isinstance(after_failure, str) else after_failure()
+        return LinkError("; ".join(text for text in (str(error), self.left_behind(failed), after) if text))
 
     def settle(self, duration_s: float) -> None:
         """Listen for a while."""
@@ -500,13 +545,13 @@ class Station(Generic[AnyPeer]):
                 yield from self.uploading(peer, autopilot, items, mission_type=mission_type)
             else:
                 break
+        peer.uploads.pop(mission_type, None)  # nothing more is served: who asks with our ids is somebody else's
         if wrong:
             more = f" (and {len(wrong) - 1} more)" if len(wrong) > 1 else ""
             seq = wrong[0].seq
             command = f" ({command_name(items[seq].command)})" if seq < len(items) else ""
             what = what_is_sent(mission_type)
             raise peer.error(f"holds another {what} than was sent: {wrong[0]}{command}{more}; upload it again")
-        peer.uploads.pop(mission_type, None)  # nothing more is served: who asks with our ids is somebody else's
         return held
 
     def downloading(
@@ -575,6 +620,11 @@ class Station(Generic[AnyPeer]):
     def _with_its_cause(self, sysid: int, failure: LinkError) -> LinkError:
         """Return a failure with what is likely to be behind it: a vehicle that signs obeys nobody who does not."""
         peer = self.peers.get(sysid)
+        if (place := self.link.elsewhere(sysid)) is not None:
+            return LinkError(
+                f"{failure}; it fell silent where it was identified, and is heard on {place} since: whether that is "
+                "the same vehicle is not known: begin again"
+            )
         if self._signed or peer is None or not peer.signs:
             return failure
         return LinkError(f"{failure}; it signs its messages: expected --signing-key with its key")

@@ -323,8 +323,8 @@ class MissionUpload:
                 return self._again(now_s, "a cancelled transfer") if self._phase == "sending" else []
             case mavlink.MAV_MISSION_DENIED:
                 raise self._party.error(
-                    "refused the upload (DENIED): another ground station may be uploading; disconnect it and try again; "
-                    f"{self.state}"
+                    "refused the upload (DENIED): another ground station may be uploading; disconnect it and try "
+                    f"again; {self.state}"
                 )
         raise self._party.error(
             f"refused the {self._what}: {_REASONS.get(result, f'MAV_MISSION_RESULT {result}')}, "
@@ -375,7 +375,6 @@ class MissionUpload:
     @property
     def _what(self) -> str:
         return what_is_sent(self._mission_type)
-
 
 
 class MissionDownload:

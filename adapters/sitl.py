@@ -30,8 +30,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from adapters.endpoint import Endpoint, Peer, open_endpoint
 from adapters.fleet_vehicle import FleetVehicle
 from adapters.ground_station import Station, Steps
+from adapters.mission_protocol import OWN_COMPONENT, OWN_SYSID
 from adapters.parameter_protocol import is_integer
-from adapters.pymavlink_link import OWN_COMPONENT, OWN_SYSID
 from adapters.return_settings import Setting
 from adapters.sitl_instances import (
     DEFAULTS,

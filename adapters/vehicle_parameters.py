@@ -11,8 +11,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from adapters.endpoint import Endpoint
-from adapters.ground_station import AnyPeer, Clock, Peer, Station, Steps, TransferProgress, Waiting
-from adapters.mission_protocol import Party
+from adapters.ground_station import AnyPeer, Clock, Station, Steps, TransferProgress, Waiting
+from adapters.listener import Listener, Stranger
 from adapters.parameter_protocol import ParameterValue
 from adapters.telemetry_log import FleetLog
 from missionplanner.autopilot_parameters import (
@@ -28,7 +28,7 @@ from missionplanner.autopilot_parameters import (
     value_of,
 )
 from missionplanner.errors import LinkError
-from missionplanner.mission import Mission
+from missionplanner.mission import Mission, Vehicle
 from missionplanner.vehicle import Autopilot, MotionModel, VehicleClass, motion_model
 
 
@@ -138,6 +138,7 @@ def read_parameters(
     clock: Clock,
     *,
     expected: Sequence[int] | None = None,
+    asked: Mapping[int, Vehicle] | None = None,
     everything: bool = False,
     timeout_s: float = 30.0,
     progress: TransferProgress | None = None,
@@ -145,17 +146,19 @@ def read_parameters(
 ) -> dict[int, HeldParameters]:
     """Read what vehicles hold, by sysid, and change nothing: of those expected, or of all that are heard.
 
+    ``asked`` by sysid are a mission's vehicles, which they must be.
+
     Raises
     ------
     LinkError
-        Nobody, or not everybody answers; a vehicle of a kind that we do not know; two vehicles with one sysid.
+        Nobody, or not everybody answers; a vehicle of a kind that we do not know, or another than asked for; two
+        vehicles with one sysid.
     """
-    station = _Listener({}, endpoints, clock, log)
-    wanted = None if expected is None else sorted(set(expected))
-    station.wait_for(wanted, {sysid: f"sysid {sysid}" for sysid in wanted or ()}, timeout_s)
+    station = Listener(endpoints, clock, log)
+    peers = station.acquaint(expected, asked or {}, timeout_s)
     found: dict[int, HeldParameters] = {}
 
-    def reading(peer: Peer) -> Steps:
+    def reading(peer: Stranger) -> Steps:
         autopilot, vehicle_class = peer.known_kind()
         if everything:
 
@@ -166,12 +169,9 @@ def read_parameters(
             values = yield from station.listing(peer, autopilot, tell)
         else:
             values = yield from reading_motion(station, peer, autopilot, vehicle_class)
-        yield from station.identifying(peer)
-        peer.check_alone()
         uid = max(peer.unique_ids, key=len, default="")
         found[peer.party.sysid] = HeldParameters(peer.party.sysid, autopilot, vehicle_class, values, uid)
 
-    peers = {k: p for k, p in station.peers.items() if p.heartbeat is not None and (wanted is None or k in wanted)}
     station.together({k: reading(peer) for k, peer in peers.items()})
     return dict(sorted(found.items()))
 
@@ -201,10 +201,3 @@ def check_parameters(found: Iterable[HeldParameters], mission: Mission | None) -
             )
         comparisons.append(compared(vehicle.name, motion_model(vehicle), held.values))
     return comparisons
-
-
-class _Listener(Station[Peer]):
-    """A ground station that takes in whoever it hears."""
-
-    def met(self, sysid: int) -> None:
-        self.peers[sysid] = Peer(Party(f"vehicle {sysid}", sysid))

@@ -83,6 +83,15 @@ SigningKey = Annotated[
 ]
 
 
+_INTERRUPTED = 130
+
+
+def _interrupted(ended: SystemExit) -> bool:
+    """Return whether Ctrl-C ended a command: typer has turned that into an exit, with a code of its own in old ones."""
+    ending = ended.__context__
+    return isinstance(ending, typer.Exit | typer.Abort) and isinstance(ending.__cause__, KeyboardInterrupt)
+
+
 def main() -> None:
     """Run the command line and turn our errors into one line and an exit code."""
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
@@ -96,13 +105,13 @@ def main() -> None:
     except Told:
         raise
     except SystemExit as ended:
+        if _interrupted(ended):
+            print("missionplanner: interrupted", file=sys.stderr)
+            sys.exit(_INTERRUPTED)
         if ended.code == MissionError.exit_code and "--json" in sys.argv:  # wrong usage, told on stderr
             message = "expected the arguments and options that --help tells"
             print(json.dumps({"error": {"message": message, "exit_code": ended.code}}))
         raise
-    except KeyboardInterrupt:
-        print("missionplanner: interrupted", file=sys.stderr)
-        sys.exit(130)
 
 
 @app.command()
@@ -801,7 +810,12 @@ def restore(
 
     vehicles = read_backup(folder)
     with _links(connect, signing_key) as endpoints, progress_bars() as progress:
-        sent = give_back(vehicles, endpoints, WallClock(endpoints), progress=_transfer_bars(progress, "restoring"))
+        bars = _transfer_bars(progress, "restoring")
+        try:
+            sent = give_back(vehicles, endpoints, WallClock(endpoints), progress=bars)
+        except KeyboardInterrupt as ended:
+            _warn(f"{ended}")
+            raise
     if as_json:
         rows = [{"name": v.name, "sysid": v.sysid, "sent": sent[v.sysid], "verified": True} for v in vehicles]
         print_json({"backup": str(folder), "vehicles": rows})
@@ -830,18 +844,16 @@ def download(
     from adapters.backup import expect_no_backup, write_backup
     from adapters.downloads import download as find
     from adapters.fleet_link import WallClock
+    from adapters.listener import by_sysid
     from missionplanner.files import ensure_writable
 
-    names: dict[int, str] | None = None
-    if mission is not None:
-        vehicles = enumerate(_mission(mission).vehicles, start=1)
-        names = {vehicle.sysid or index: vehicle.name for index, vehicle in vehicles}
-    expect_no_backup(output, list((names or {}).values()))
+    asked = None if mission is None else by_sysid(_mission(mission).vehicles)
+    expect_no_backup(output, [vehicle.name for vehicle in (asked or {}).values()])
     ensure_writable(output)
-    wanted = sysid or (None if names is None else list(names))
+    wanted = sysid or (None if asked is None else list(asked))
     with _links(connect, signing_key) as endpoints, progress_bars() as progress:
         bars = _transfer_bars(progress, "reading")
-        found = find(endpoints, WallClock(endpoints), names=names, expected=wanted, progress=bars)
+        found = find(endpoints, WallClock(endpoints), asked=asked, expected=wanted, progress=bars)
     homes = {vehicle.saved.sysid: vehicle.home for vehicle in found if vehicle.home is not None}
     saved_at = datetime.now(UTC).isoformat(timespec="seconds")
     paths = write_backup(output, [vehicle.saved for vehicle in found], saved_at, homes)
@@ -1028,6 +1040,7 @@ def parameters(
 ) -> None:
     """Read the parameters that decide how vehicles fly; with --mission, exit code 3 where they differ from it."""
     from adapters.fleet_link import WallClock
+    from adapters.listener import by_sysid
     from adapters.vehicle_parameters import check_parameters, read_parameters
     from missionplanner.parameter_files import expect_suffix, write_parameters
     from missionplanner.summary import parameter_table
@@ -1035,9 +1048,8 @@ def parameters(
     if output is not None:
         expect_suffix(output)
     question = None if mission is None else _resolved(mission)
-    expected = None if sysid is None else [sysid]
-    if question is not None and expected is None:
-        expected = [vehicle.sysid or index for index, vehicle in enumerate(question.vehicles, start=1)]
+    asked = None if question is None else by_sysid(question.vehicles)
+    expected = [sysid] if sysid is not None else None if asked is None else list(asked)
     with ExitStack() as stack:
         endpoints = stack.enter_context(_links(connect, signing_key))
         progress = stack.enter_context(progress_bars())
@@ -1045,6 +1057,7 @@ def parameters(
             endpoints,
             WallClock(endpoints),
             expected=expected,
+            asked=asked,
             everything=everything,
             progress=_transfer_bars(progress, "reading"),
         )
@@ -1306,12 +1319,13 @@ def _check_vehicles(
     """Prove what vehicles hold."""
     from adapters.certificates import certify, read_vehicles
     from adapters.fleet_link import WallClock, download_missions
+    from adapters.listener import by_sysid
 
     question = _mission(mission)
     with _links(connect, signing_key) as endpoints:
-        sysids = [vehicle.sysid or index for index, vehicle in enumerate(question.vehicles, start=1)]
+        asked = by_sysid(question.vehicles)
         with stderr.status("reading the vehicles' missions"):
-            downloaded = download_missions(endpoints, WallClock(endpoints), expected=sysids)
+            downloaded = download_missions(endpoints, WallClock(endpoints), expected=list(asked), asked=asked)
     scene, missions = read_vehicles(question, mission.parent, downloaded)
     certificate = certify(scene, missions)
     folder = output or Path("out") / f"check_{scene.mission.name}"

@@ -6,13 +6,14 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.command_protocol import Command, Message, command_name
+from adapters.mission_protocol import OWN_COMPONENT
 from missionplanner.errors import LinkError
 
 ARM = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 
 
-def ack(result: int, command: int = ARM, sysid: int = 3, target: int = 255) -> Message:
-    message = mavlink.MAVLink_command_ack_message(command, result, target_system=target)
+def ack(result: int, command: int = ARM, sysid: int = 3, target: int = 255, component: int = 0) -> Message:
+    message = mavlink.MAVLink_command_ack_message(command, result, 0, 0, target, component)
     message.pack(mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1))
     return message
 
@@ -29,12 +30,19 @@ def test_it_is_repeated_with_a_rising_confirmation_until_answered() -> None:
     assert command.poll(20.0) == []
 
 
-@pytest.mark.parametrize("stray", [ack(0, sysid=4), ack(0, command=22), ack(0, target=7)])
+@pytest.mark.parametrize("stray", [ack(0, sysid=4), ack(0, command=22), ack(0, target=7), ack(0, component=230)])
 def test_only_the_answer_to_it_counts(stray: Message) -> None:
     command = Command("uav3", 3, ARM, 1.0)
     command.poll(0.0)
     command.receive(stray, 0.1)
     assert command.result is None
+
+
+def test_an_answer_that_names_our_component_counts() -> None:
+    command = Command("uav3", 3, ARM, 1.0)
+    command.poll(0.0)
+    command.receive(ack(0, component=OWN_COMPONENT), 0.1)
+    assert command.result == 0
 
 
 def test_an_answer_to_nobody_in_particular_counts() -> None:

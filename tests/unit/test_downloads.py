@@ -19,6 +19,7 @@ from adapters.sorties import read_mission_file
 from adapters.waypoints_file import read_waypoints_home
 from missionplanner.errors import LinkError, MissionError
 from missionplanner.geodesy import GeoPoint
+from missionplanner.mission import Point, Vehicle
 from missionplanner.vehicle import Autopilot
 from tests.plans import FRAME, small_fleet
 from tests.rig import Rig
@@ -36,6 +37,11 @@ def found_by(rig: Rig, **options: Any) -> tuple[Found, ...]:
     return download(rig.pipes, rig.clock, **options)
 
 
+def asked(autopilot: Autopilot, *names: str) -> dict[int, Vehicle]:
+    place = Point(x_m=0.0, y_m=0.0, alt_amsl_m=1200.0)
+    return {k: Vehicle(name=name, autopilot=autopilot, home=place, goal=place) for k, name in enumerate(names, start=1)}
+
+
 def homes(found: Sequence[Found]) -> dict[int, GeoPoint]:
     return {vehicle.saved.sysid: vehicle.home for vehicle in found if vehicle.home is not None}
 
@@ -43,7 +49,7 @@ def homes(found: Sequence[Found]) -> dict[int, GeoPoint]:
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_files_say_what_vehicles_hold(autopilot: Autopilot, tmp_path: Path) -> None:
     rig = holding(autopilot)
-    found = found_by(rig, names={1: "alpha"})
+    found = found_by(rig, asked=asked(autopilot, "alpha"))
     assert [(v.saved.name, v.saved.sysid, v.remarks) for v in found] == [("alpha", 1, ()), ("sysid2", 2, ())]
     write_backup(tmp_path, [v.saved for v in found], SAVED_AT, homes(found))
     for vehicle, plan in zip(found, rig.link._plan.vehicles, strict=True):
@@ -64,12 +70,12 @@ def test_files_say_what_vehicles_hold(autopilot: Autopilot, tmp_path: Path) -> N
 def test_only_those_asked_for_are_read(tmp_path: Path) -> None:
     rig = holding("ardupilot")
     assert [v.saved.sysid for v in found_by(rig, expected=[2])] == [2]
-    with pytest.raises(LinkError, match=r"expected vehicle \(sysid 7\) within 3 s, heard only sysid 1, 2"):
+    with pytest.raises(LinkError, match=r"expected sysid 7 within 3 s, heard only sysid 1, 2"):
         found_by(rig, expected=[2, 7], timeout_s=3.0)
 
 
 def test_nothing_there_is_replaced(tmp_path: Path) -> None:
-    found = found_by(holding("px4"), names={1: "alpha", 2: "bravo"})
+    found = found_by(holding("px4"), asked=asked("px4", "alpha", "bravo"))
     (tmp_path / "bravo.waypoints").write_text("mine")
     with pytest.raises(MissionError, match=r"bravo\.waypoints: is there already, and is not replaced"):
         write_backup(tmp_path, [v.saved for v in found], SAVED_AT, homes(found))

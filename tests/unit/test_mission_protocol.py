@@ -92,9 +92,7 @@ def test_the_wait_follows_the_round_trips() -> None:
 def test_silence_to_count_is_an_error_that_names_the_vehicle() -> None:
     upload = MissionUpload(PARTY, "ardupilot", ITEMS)
     sent, now_s = 0, 0.0
-    with pytest.raises(
-        LinkError, match=r"uav3 \(sysid 3\): .*no answer to 11 MISSION_COUNTs; it may hold a mixture"
-    ):
+    with pytest.raises(LinkError, match=r"uav3 \(sysid 3\): .*no answer to 11 MISSION_COUNTs; it may hold a mixture"):
         while now_s < 60.0:
             sent += len(upload.poll(now_s))
             now_s += 0.1
