@@ -72,7 +72,7 @@ def give_order(folder: Path, request: Request, wait: Callable[[float], None]) ->
     Raises
     ------
     LinkError
-        Nobody takes it, and it is withdrawn; or it was taken, and no answer comes.
+        Nobody takes it, and it is withdrawn; or it was taken, and no answer comes; or nobody is left to say which.
     """
     nobody = f"{folder.parent}: expected a running fly that watches this fleet, found none: nothing was sent; "
     remedy = "give the order to the vehicles themselves with --connect URL"
@@ -95,7 +95,12 @@ def give_order(folder: Path, request: Request, wait: Callable[[float], None]) ->
             pass  # taken at the last moment
         else:
             raise LinkError(nobody + remedy)
-    answer = path.with_suffix(_ANSWER)
+    answer, taken = path.with_suffix(_ANSWER), path.with_suffix(_TAKEN)
+    if not (answer.exists() or taken.exists()):
+        raise LinkError(
+            f"{folder.parent}: the fly that watched this fleet has just ended, and whether it still took the order is "
+            f"not known: {remedy}"
+        )
     for _ in range(round(_ANSWERED_S / _LOOK_S)):
         if answer.exists():
             found = json.loads(answer.read_text(encoding="utf-8"))

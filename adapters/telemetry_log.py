@@ -23,7 +23,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from missionplanner.errors import MissionError
 
 _STAMP = struct.Struct(">Q")
-_MERGED = "fleet.tlog"
+MERGED = "fleet.tlog"
+"""The log of all vehicles; it holds what their own logs do."""
+
 _EARLIER = "earlier"
 _OWN_SYSID = 255
 _TEXT_MAX = 50  # bytes of a STATUSTEXT
@@ -50,18 +52,18 @@ class FleetLog:
         self._stamp_us = 0
         self.trouble: str | None = None  # why nothing is written any more
         own = {sysid: f"{name}.tlog" for sysid, name in names.items()}
-        self.paths = [folder / (f"{sysid}-{file}" if file == _MERGED else file) for sysid, file in own.items()]
+        self.paths = [folder / (f"{sysid}-{file}" if file == MERGED else file) for sysid, file in own.items()]
         try:
             folder.mkdir(parents=True, exist_ok=True)
             _put_aside(folder)
             for sysid, path in zip(names, self.paths, strict=True):
                 self._files[sysid] = path.open("wb", buffering=0)
-            self._merged: RawIOBase = (folder / _MERGED).open("wb", buffering=0)
+            self._merged: RawIOBase = (folder / MERGED).open("wb", buffering=0)
         except OSError as error:
             for file in self._files.values():
                 file.close()
             raise MissionError(f"{folder}: expected a folder that can be written to, got: {error.strerror}") from error
-        self.paths.append(folder / _MERGED)
+        self.paths.append(folder / MERGED)
 
     def write(self, now_s: float, sysid: int, frame: bytes) -> None:
         """Add one frame from or to the vehicle ``sysid``; one of an unknown vehicle goes to the merged log only."""
@@ -121,6 +123,25 @@ def _put_aside(folder: Path) -> None:
         aside.mkdir(parents=True)
         for path in logs:
             path.rename(aside / path.name)
+
+
+def latest_flight(folder: Path, sysids: Collection[int]) -> Path | None:
+    """Return the latest log of all vehicles, also of those put aside, in which one of these is armed; None: in none.
+
+    Raises
+    ------
+    MissionError
+        A log cannot be read.
+    """
+    aside = [path for path in (folder / _EARLIER).glob("*") if path.name.isdecimal()]
+    aside.sort(key=lambda path: int(path.name), reverse=True)
+    for path in (folder / MERGED, *(earlier / MERGED for earlier in aside)):
+        if path.is_file() and any(
+            message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED and message.get_srcSystem() in sysids
+            for _, message in read_log(path, (mavlink.MAVLINK_MSG_ID_HEARTBEAT,)).records
+        ):
+            return path
+    return None
 
 
 @dataclass(frozen=True, slots=True)

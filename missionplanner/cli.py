@@ -53,7 +53,6 @@ _BUSY = (
     "expected a plan folder that nobody else uses, got one in which another plan, upload or fly is at work: wait for "
     "its end, or copy the folder"
 )
-MERGED = "fleet.tlog"
 
 MissionFile = Annotated[Path, typer.Argument(metavar="MISSION", help="mission file (YAML)")]
 PlanFolder = Annotated[Path, typer.Argument(metavar="FOLDER", help="plan folder")]
@@ -752,8 +751,11 @@ def command(
     from adapters.fleet_flight import NOT_PROVEN, Request
     from adapters.order_box import give_order
     from missionplanner.flight_console import ORDERS_FOLDER
+    from missionplanner.plan_folder import planned_names
 
     request = Request(order, frozenset(vehicle or ()), unproven)
+    if request.vehicles:
+        _expect_names(request.vehicles, planned_names(folder))
     if connect is None:
         outcomes = give_order(folder / ORDERS_FOLDER, request, time.sleep)
     else:
@@ -783,17 +785,9 @@ def _command_vehicles(request: Request, folder: Path, connect: str, signing_key:
     from missionplanner.plan_folder import load_plan
 
     scene, fleet_plan = load_plan(folder)
-    names = request.vehicles or {vehicle.name for vehicle in fleet_plan.vehicles}
-    _expect_names(names, [vehicle.name for vehicle in fleet_plan.vehicles])
-    fleet_plan = replace(fleet_plan, vehicles=tuple(v for v in fleet_plan.vehicles if v.name in names))
-    with _links(connect, signing_key) as endpoints:
+    with _links(connect, signing_key) as endpoints, stderr.status("looking for the vehicles"):
         link = FleetLink(fleet_plan, endpoints, WallClock(endpoints), home_tolerance_m=_home_tolerance_m(scene))
-        with stderr.status("looking for the vehicles"):
-            link.connect()
-        if request.order == "resume":
-            with progress_bars() as progress:
-                link.verify(_transfer_bars(progress, "verifying"))
-        return link.order(request.order, unproven=request.unproven)
+        return link.command(request)
 
 
 @app.command()
@@ -916,8 +910,8 @@ def resume(
 ) -> None:
     """Plan how a vehicle goes on from a waypoint, after a change of batteries: a proven plan of its own to fly."""
     if mission is not None:
-        if item is None:
-            raise MissionError("resume: expected --from with --mission")
+        if item is None or log is not None:
+            raise MissionError("resume: expected --from with --mission, and no --log: it is of a plan folder's flight")
         _resume_file(target, mission, vehicle, item, output, seed, as_json=as_json)
     else:
         _resume_plan(target, vehicle, item, log, output, seed, as_json=as_json)
@@ -939,6 +933,7 @@ def _resume_plan(
     from adapters.export import export_fleet
     from adapters.mission_items import plan_items
     from adapters.resuming import flown_items, item_left
+    from adapters.telemetry_log import latest_flight
     from missionplanner.files import ensure_writable
     from missionplanner.plan_folder import PLAN_NAME, load_plan, save_certificate, save_plan
     from missionplanner.resuming import find_vehicle
@@ -951,7 +946,10 @@ def _resume_plan(
     items = plan_items(planned, fleet_plan.frame)
     flown = flown_items(items, planned.autopilot)
     if log is not None and log.is_dir():  # a plan folder that was flown, or its logs
-        log = next((path for path in (log / LOGS / MERGED, log / MERGED) if path.exists()), log)
+        flown_log = latest_flight(log / LOGS if (log / LOGS).is_dir() else log, [planned.sysid])
+        if flown_log is None:
+            raise MissionError(f"{log}: expected the log of a flight of {vehicle}, found none, nor of an earlier one")
+        log = flown_log
     if log is not None:  # the leg that was being flown is flown again as a whole
         waypoint = bisect_left(flown, item_left(log, planned)) - 1
     else:
@@ -977,6 +975,7 @@ def _resume_plan(
     others = [v.name for v in fleet_plan.vehicles if v.name != vehicle]
     _warn(
         f"{vehicle} goes on from item {flown[waypoint]} of {folder}"
+        + (f", broken off in {log}" if log is not None else "")
         + (f"; nothing is proven of {', '.join(others)}: they must not fly meanwhile" if others else "")
     )
     _show(replace(rest, certificate=certificate), target, as_json)
@@ -1125,11 +1124,8 @@ def replay(
 
     if plan_folder == Path() and not (plan_folder / "plan.json").exists():
         raise MissionError("--plan: expected the plan folder whose missions were flown")
-    merged = plan_folder / LOGS / MERGED  # holds what the vehicles' own logs do
-    paths = logs or ([merged] if merged.exists() else sorted((plan_folder / LOGS).glob("*.tlog")))
-    if not paths:
-        raise MissionError(f"replay: expected telemetry logs (.tlog), got none, and none are in {plan_folder / LOGS}")
     _, fleet_plan = load_plan(plan_folder)
+    paths = logs or _logs_of_flight(plan_folder / LOGS, [vehicle.sysid for vehicle in fleet_plan.vehicles])
     folder = output or plan_folder / "replay"
     found = read_flown(paths, fleet_plan)
     ensure_writable(folder)
@@ -1154,10 +1150,25 @@ def replay(
         stdout.print(replay_table(document))
         for line in [*replay_lines(document), *(f"{what}: {path}" for what, path in files.items())]:
             stdout.print(line, soft_wrap=True, highlight=False, markup=False)
+    if not logs and paths[0].parent != plan_folder / LOGS:
+        _warn(f"the latest flight is in {paths[0]}: nothing was flown since")
     for problem in found.problems:
         print(f"missionplanner: {problem}", file=sys.stderr)
     if found.problems:
         raise Told(MissionError.exit_code)
+
+
+def _logs_of_flight(folder: Path, sysids: Sequence[int]) -> list[Path]:
+    """Return the log of all vehicles' latest flight, or the vehicles' own logs; nothing may have been flown since."""
+    from adapters.telemetry_log import MERGED, latest_flight
+
+    merged = latest_flight(folder, sysids)
+    if merged is not None:
+        return [merged]
+    paths = sorted(path for path in folder.glob("*.tlog") if path.name != MERGED)
+    if not paths:
+        raise MissionError(f"replay: expected telemetry logs (.tlog), got none, and none are in {folder}")
+    return paths
 
 
 @app.command()

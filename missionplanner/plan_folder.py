@@ -217,6 +217,18 @@ def save_plan(folder: Path, scene: Scene, plan: FleetPlan) -> Path:
     return path
 
 
+def planned_names(folder: Path) -> tuple[str, ...]:
+    """Return the names of a plan folder's vehicles: at once, nothing is predicted or checked.
+
+    Raises
+    ------
+    MissionError
+        There is no plan, it is damaged, or of another version.
+    """
+    record = _read(folder / PLAN_NAME, _PlanRecord, "plan the mission again")
+    return tuple(vehicle.name for vehicle in record.vehicles)
+
+
 def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
     """Read a plan folder; flights are predicted and clearances checked again.
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from adapters.telemetry_log import FleetLog
 from missionplanner.cli import main
 from missionplanner.experiments.fidelity import MARKS
 from tests.command_line import Cli, expect_line, expect_refusal
@@ -116,7 +117,25 @@ def test_what_is_no_log_of_the_plan_is_refused(cli: Cli, flown: Path, tmp_path: 
     shutil.copytree(flown, unflown)
     shutil.rmtree(unflown / "logs")
     expect_line(cli("replay", "--plan", unflown), 2, "expected telemetry logs (.tlog), got none")
+    (unflown / "logs").mkdir()
+    (unflown / "logs" / "fleet.tlog").touch()
+    resumed = cli("resume", unflown, "--vehicle", "alpha", "--log", unflown, "-o", tmp_path / "rest")
+    expect_line(resumed, 2, "expected the log of a flight of alpha, found none")
     assert not (tmp_path / "out").exists()
+
+
+def test_a_flight_is_found_though_something_was_uploaded_since(cli: Cli, flown: Path, tmp_path: Path) -> None:
+    plan = Path(shutil.copytree(flown, tmp_path / "plan"))
+    for _ in range(2):
+        with FleetLog(plan / "logs", {1: "alpha", 2: "bravo"}, 1.8e9) as log:
+            log.note(0.0, "an upload")
+    outcome = cli("replay", "--plan", plan, "--json")
+    assert outcome.code == 0, outcome.err
+    assert "the latest flight is in" in outcome.err
+    assert all(row["arrival_s"] is not None for row in outcome.json["vehicles"])
+    resumed = cli("resume", plan, "--vehicle", "alpha", "--log", plan, "-o", tmp_path / "rest")
+    assert resumed.code == 0, resumed.err
+    assert f"broken off in {plan / 'logs' / 'earlier' / '1' / 'fleet.tlog'}" in resumed.err
 
 
 def test_what_cannot_be_replayed_is_told_beside_what_can(cli: Cli, flown: Path, tmp_path: Path) -> None:

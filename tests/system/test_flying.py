@@ -16,10 +16,12 @@ import numpy as np
 import pytest
 
 from adapters.mission_items import CHANGE_SPEED, TAKEOFF, WAYPOINT
+from adapters.order_box import OrderBox
 from adapters.waypoints_file import read_waypoints
 from missionplanner.errors import LinkError, MissionError
 from missionplanner.files import alone
 from missionplanner.flight_check import check_flight
+from missionplanner.flight_console import ORDERS_FOLDER
 from missionplanner.plan_folder import load_plan
 from missionplanner.planner import plan_fleet
 from missionplanner.proof import planned_sortie, predict
@@ -81,6 +83,7 @@ def test_the_same_seed_resumes_the_same_way(cli: Cli, planned: Path, tmp_path: P
         (["--vehicle", "bravo", "--from", "99"], 2, "nothing is left but its end"),
         (["--vehicle", "bravo", "--log", "no.tlog"], 2, "no.tlog: expected a telemetry log"),
         (["--vehicle", "bravo", "--log", "x", "--mission", "m.yaml"], 2, "expected --from with --mission"),
+        (["--vehicle", "bravo", "--log", "x", "--mission", "m.yaml", "--from", "3"], 2, "and no --log"),
     ],
 )
 def test_wrong_questions_to_resume(cli: Cli, planned: Path, options: list[str], code: int, told: str) -> None:
@@ -137,6 +140,15 @@ def test_what_vehicles_hold_is_saved_proven_and_given_back(cli: Cli, planned: Pa
     files = [tmp_path / "held" / f"{name}.plan" for name in ("alpha", "bravo")]
     checked = cli("check", "--mission", mission_path("quickstart"), *files, "-o", tmp_path / "checked", "--json")
     assert checked.code == 0, checked.err
+
+
+def test_a_name_that_is_none_of_the_plan_orders_nobody_anything(cli: Cli, planned: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(planned, tmp_path / "plan"))
+    box = OrderBox(copy / ORDERS_FOLDER)
+    named = ["--vehicle", "alpha", "--vehicle", "typo", "--json"]
+    expect_refusal(cli("command", "pause", copy, *named), 2, "expected vehicles of the plan, got typo")
+    assert box.take() is None
+    assert list((copy / ORDERS_FOLDER).iterdir()) == []
 
 
 def test_an_order_for_a_fleet_that_nobody_watches(cli: Cli, planned: Path) -> None:

@@ -51,8 +51,15 @@ def test_an_order_that_is_taken_and_never_answered_is_not_said_to_be_given(tmp_p
     box = OrderBox(tmp_path / "orders")
     with pytest.raises(LinkError, match="the order was taken, and what came of it was not told"):
         give_order(tmp_path / "orders", Request("pause"), lambda _s: (box.take(), None)[1])
+    steps = [box.take, box.close]
     with pytest.raises(LinkError, match="was not told"):
-        give_order(tmp_path / "orders", Request("pause"), lambda _s: (box.take(), box.close(), None)[2])
+        give_order(tmp_path / "orders", Request("pause"), lambda _s: steps.pop(0)() and None)
+
+
+def test_an_order_is_not_said_to_be_taken_when_the_flight_has_just_ended(tmp_path: Path) -> None:
+    box = OrderBox(tmp_path / "orders")
+    with pytest.raises(LinkError, match=r"has just ended, and whether it still took the order is not known: "):
+        give_order(tmp_path / "orders", Request("rtl"), lambda _s: box.close())
 
 
 def test_old_orders_are_not_obeyed(tmp_path: Path) -> None:
