@@ -45,7 +45,9 @@ from missionplanner.vehicle import Autopilot, VehicleClass
 Message = Any  # a pymavlink message: its classes are generated, and carry no types
 
 OWN_SYSID = 255
-OWN_COMPONENT = mavlink.MAV_COMP_ID_MISSIONPLANNER
+# Ground stations as delivered all are 255/190 (MAVProxy 255/230): with ids of our own, who uploads by theirs is not
+# served our items, and neither takes the other's answers. Autopilots look at their ground station's sysid only.
+OWN_COMPONENT = mavlink.MAV_COMP_ID_USER53
 AUTOPILOT_COMPONENT = 1
 
 

@@ -808,7 +808,7 @@ def restore(
         try:
             sent = give_back(vehicles, endpoints, WallClock(endpoints), progress=bars)
         except KeyboardInterrupt as ended:
-            _warn(f"{ended}")
+            _warn(str(ended) or "nothing was restored")
             raise
     if as_json:
         rows = [{"name": v.name, "sysid": v.sysid, "sent": sent[v.sysid], "verified": True} for v in vehicles]

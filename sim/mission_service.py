@@ -216,8 +216,6 @@ class MissionService:
             return []  # PX4 does not know the message
         if not 0 <= start <= last <= count:
             return [self._ack(partner, mavlink.MAV_MISSION_ERROR, kind)]
-        if self._taken_by_another(partner, kind, now_s):  # ArduPilot would let it in: no second station disturbs ours
-            return [self._ack(partner, self._rules.second_uploader_ack, kind)]
         upload = _Upload(partner, kind, start, last + 1, now_s, now_s)
         if self._waits(kind):
             upload.items, upload.rest = self._stores[kind][:start], self._stores[kind][last + 1 :]
@@ -322,14 +320,16 @@ class MissionService:
         upload = self._uploads.get(kind)
         return upload is not None and not self._same(upload, partner, now_s)
 
-    @staticmethod
-    def _same(transfer: _Upload | _Download, partner: Partner, now_s: float) -> bool:
-        """Whether a transfer is this ground station's; one that has moved to another link is known once that is quiet.
+    def _same(self, transfer: _Upload | _Download, partner: Partner, now_s: float) -> bool:
+        """Whether a transfer is this ground station's.
 
-        ArduPilot goes by the ids alone: whoever has ours, as two ground stations as delivered have, could disturb us.
+        ArduPilot goes by the ids alone, though it asks for items where the transfer was begun. PX4 has a transfer on
+        one link at a time; one that has moved to another is known once that is quiet.
         """
         one = transfer.partner
         known = (one.system, one.component) == (partner.system, partner.component)
+        if not self._rules.one_transfer:
+            return known
         if known and one.link != partner.link and now_s - transfer.heard_s > _MOVED_AFTER_S:
             transfer.partner = partner
         return known and transfer.partner.link == partner.link

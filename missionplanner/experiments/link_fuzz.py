@@ -25,7 +25,7 @@ from adapters.endpoint import Endpoint, in_process_pair
 from adapters.fleet_link import FleetLink
 from adapters.ground_station import WAIT_S, Peer, Station
 from adapters.mission_items import MissionItem, plan_items
-from adapters.mission_protocol import MissionDownload, MissionUpload, Party
+from adapters.mission_protocol import OWN_COMPONENT, OWN_SYSID, MissionDownload, MissionUpload, Party
 from adapters.parameter_protocol import ParametersRead
 from missionplanner.errors import LinkError
 from missionplanner.experiments.link_trials import fleet_plan, holds
@@ -38,7 +38,8 @@ Message = Any  # a pymavlink message: its classes are generated, and carry no ty
 Kind = Any  # such a class
 
 _MISSION = int(mavlink.MAV_MISSION_TYPE_MISSION)
-_STATION = (255, int(mavlink.MAV_COMP_ID_MISSIONPLANNER))
+_STATION = (OWN_SYSID, int(OWN_COMPONENT))
+_DELIVERED = (255, int(mavlink.MAV_COMP_ID_MISSIONPLANNER))  # what most ground stations are
 _BATCH = 16
 _GUIDED_SHARE = 0.02  # of the frames that run under a tracer, which makes them ten times as slow
 _CORPUS_MAX = 2_000
@@ -55,6 +56,7 @@ _SIZES = {"uint8_t": (1, False), "int8_t": (1, True), "uint16_t": (2, False), "i
 _REALS = (0.0, -0.0, 1.0, -1.0, math.nan, math.inf, -math.inf, 3.4e38, 1e-45, 21196.0, 255.0, 65_536.0, 1e10, -1e10)
 _COMMANDS = tuple(n for n in mavlink.enums["MAV_CMD"] if 0 < n < 65_536)
 _WHOLE_DIALECT = tuple(mavlink.mavlink_map.values())
+_PARTIAL = mavlink.MAVLink_mission_write_partial_list_message
 _MISSION_PROTOCOL = tuple(kind for kind in _WHOLE_DIALECT if kind.msgname.startswith("MISSION_"))
 
 
@@ -174,7 +176,7 @@ class Mutator:
         rng = self._rng
         if rng.random() < 0.8:
             return own
-        return int(self._sysids[rng.integers(len(self._sysids))]), int((0, 1, 190, 191, 154)[rng.integers(5)])
+        return int(self._sysids[rng.integers(len(self._sysids))]), int((0, 1, _STATION[1], 191, 154)[rng.integers(5)])
 
     def _value(self, kind: Kind, k: int) -> Any:
         rng, name, form = self._rng, kind.fieldnames[k], kind.fieldtypes[k]
@@ -557,8 +559,11 @@ def _kept_busy(station: Station[Peer], peer: Peer, autopilot: Autopilot, items: 
 def spoofed_uploads(uploads: int, frames_each: int, seed: int) -> dict[str, Any]:
     """Upload while a second station talks about missions to the vehicle, and poses as a vehicle to us; none may suffer.
 
-    The second station has another sysid, or ours from another link. What the vehicle holds when it says that it has
-    taken the mission is what was sent, and our upload ends well.
+    The second station has another sysid, or ours with another component, as ground stations as delivered have. What
+    the vehicle holds when it says that it has taken the mission is what was sent, and our upload ends well.
+
+    MISSION_WRITE_PARTIAL_LIST is not among what it says to ArduPilot, which lets anybody into an upload by it: against
+    that only the read-back helps.
     """
     rng = np.random.default_rng(seed)
     faults: list[str] = []
@@ -572,7 +577,8 @@ def spoofed_uploads(uploads: int, frames_each: int, seed: int) -> dict[str, Any]
         other, other_air = in_process_pair("theirs")
         fleet.attach(other_air)  # heard first: what comes after our last item may change the mission again
         fleet.attach(air)
-        posing = ((254, 190), _STATION, (255, 191), (1, 191))[n // 2 % 4]
+        posing = ((254, 190), _DELIVERED, (255, 191), (1, 191))[n // 2 % 4]
+        says = tuple(k for k in _MISSION_PROTOCOL if autopilot == "px4" or k is not _PARTIAL)
         mutator = Mutator([], rng, [1])
         peer = Peer(Party("uav1", 1))
         station = Station({1: peer}, [ground], clock := LockstepClock(fleet), None)
@@ -591,13 +597,12 @@ def spoofed_uploads(uploads: int, frames_each: int, seed: int) -> dict[str, Any]
                     raise peer.error("the upload was ended, and begun anew")
                 station.send(peer, messages)
                 for _ in range(frames_each):
-                    other.send(mutator.frame(*mutator.message(1, _MISSION_PROTOCOL), posing))
-                    if posing != _STATION:  # to us, as from a stranger on our own link
-                        stranger = (posing[0] % 254 + 100, 1)
-                        message = mutator.message(255, _MISSION_PROTOCOL)
-                        air.send(mutator.frame(*message, stranger, damage=0.0))  # damaged, it would cost us ours
-                        sent_frames += 1
-                    sent_frames += 1
+                    other.send(mutator.frame(*mutator.message(1, says), posing))
+                    # to us, as from a stranger on our own link
+                    stranger = (posing[0] % 254 + 100, 1)
+                    message = mutator.message(255, _MISSION_PROTOCOL)
+                    air.send(mutator.frame(*message, stranger, damage=0.0))  # damaged, it would cost us ours
+                    sent_frames += 2
                 clock.wait(WAIT_S)
         except LinkError as error:
             faults.append(f"{autopilot}, posing as {posing}: {error}")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.mission_items import MissionItem, plan_items
-from adapters.mission_protocol import Message, MissionDownload, MissionUpload, Party, mismatches
+from adapters.mission_protocol import OWN_COMPONENT, Message, MissionDownload, MissionUpload, Party, mismatches
 from missionplanner.errors import LinkError
 from missionplanner.vehicle import Autopilot
 from tests.oracles.mission_vehicle import MissionVehicle
@@ -52,7 +52,7 @@ class Wire:
         self._rng = np.random.default_rng(seed)
         self._queue: list[tuple[float, int, bool, bytes]] = []
         self._order = itertools.count()
-        self._ground = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+        self._ground = mavlink.MAVLink(None, srcSystem=255, srcComponent=OWN_COMPONENT)
         self._air = mavlink.MAVLink(None, srcSystem=3, srcComponent=1)
         self._parser = mavlink.MAVLink(None)
 
@@ -162,9 +162,9 @@ def test_nothing_from_others_moves_an_upload(autopilot: Autopilot, noise: list[t
                 mission_type = 1 + small % 2
         seq = number % 65_536
         if kind < 4:
-            message = mavlink.MAVLink_mission_ack_message(target, 190, small % 16, mission_type)
+            message = mavlink.MAVLink_mission_ack_message(target, OWN_COMPONENT, small % 16, mission_type)
         else:
-            message = mavlink.MAVLink_mission_request_message(target, 190, seq % 8, mission_type)
+            message = mavlink.MAVLink_mission_request_message(target, OWN_COMPONENT, seq % 8, mission_type)
         message.pack(mavlink.MAVLink(None, srcSystem=sysid, srcComponent=component))
         assert upload.receive(message, 0.1) == []
     assert not upload.done
@@ -173,13 +173,13 @@ def test_nothing_from_others_moves_an_upload(autopilot: Autopilot, noise: list[t
 
 _small = st.integers(0, 9)
 _any_message = st.one_of(
-    st.builds(lambda seq: mavlink.MAVLink_mission_request_message(255, 190, seq), _small),
+    st.builds(lambda seq: mavlink.MAVLink_mission_request_message(255, OWN_COMPONENT, seq), _small),
     st.builds(lambda seq: mavlink.MAVLink_mission_request_int_message(255, 0, seq), st.integers(0, 65_535)),
-    st.builds(lambda result: mavlink.MAVLink_mission_ack_message(255, 190, result), st.integers(0, 16)),
-    st.builds(lambda count: mavlink.MAVLink_mission_count_message(255, 190, count), _small),
+    st.builds(lambda result: mavlink.MAVLink_mission_ack_message(255, OWN_COMPONENT, result), st.integers(0, 16)),
+    st.builds(lambda count: mavlink.MAVLink_mission_count_message(255, OWN_COMPONENT, count), _small),
     st.builds(
         lambda seq, command, value, place: mavlink.MAVLink_mission_item_int_message(
-            255, 190, seq, 0, command, 0, 1, value, value, value, value, place, place, value
+            255, OWN_COMPONENT, seq, 0, command, 0, 1, value, value, value, value, place, place, value
         ),
         _small,
         st.integers(0, 65_535),

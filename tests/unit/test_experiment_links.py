@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.fleet_link import FleetLink
 from adapters.mission_items import FRAME_MISSION, MissionItem, plan_items
+from adapters.mission_protocol import OWN_COMPONENT
 from adapters.pymavlink_link import PymavlinkLink
 from missionplanner.experiments import link_fuzz, link_loads, link_trials, links
 from missionplanner.vehicle import Autopilot
@@ -115,7 +116,7 @@ def traffic() -> list[Any]:
 def test_the_same_seed_makes_the_same_frames(traffic: list[Any]) -> None:
     def made(seed: int) -> list[bytes]:
         mutator = link_fuzz.Mutator(traffic, np.random.default_rng(seed), [1, 2])
-        return [mutator.frame(*mutator.message(1), mutator.source((255, 190))) for _ in range(300)]
+        return [mutator.frame(*mutator.message(1), mutator.source((255, OWN_COMPONENT))) for _ in range(300)]
 
     assert made(1) == made(1) != made(2)
 
@@ -126,7 +127,9 @@ def test_frames_are_of_all_kinds_most_of_them_valid(traffic: list[Any]) -> None:
     for _ in range(3_000):
         parser = mavlink.MAVLink(None)
         parser.robust_parsing = True
-        for message in parser.parse_buffer(mutator.frame(*mutator.message(1), mutator.source((255, 190)))) or ():
+        for message in (
+            parser.parse_buffer(mutator.frame(*mutator.message(1), mutator.source((255, OWN_COMPONENT)))) or ()
+        ):
             bad += message.get_type() == "BAD_DATA"
             heard.append(message)
     assert 0.03 < bad / len(heard) < 0.4
@@ -205,7 +208,7 @@ def test_no_second_ground_station_alters_or_ends_an_upload() -> None:
 
 
 def test_a_vehicle_that_takes_items_of_everybody_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(MissionService, "_same", staticmethod(lambda *_: True))
+    monkeypatch.setattr(MissionService, "_same", lambda *_: True)
     assert link_fuzz.spoofed_uploads(2, 20, 3)["faults"] != []
 
 

@@ -18,6 +18,7 @@ from adapters.endpoint import Peer, in_process_pair
 from adapters.fleet_link import FleetLink, download_missions
 from adapters.guards import Area, area_items
 from adapters.mission_items import MissionItem
+from adapters.mission_protocol import OWN_COMPONENT
 from adapters.plan_file import read_plan
 from adapters.waypoints_file import read_waypoints
 from missionplanner.errors import LinkError, MissionError
@@ -457,7 +458,7 @@ def test_in_flight_no_mission_is_mixed_into_another_station_s() -> None:
         return message
 
     rig.pipes[0].up = spy
-    other = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)
+    other = mavlink.MAVLink(None, srcSystem=255, srcComponent=OWN_COMPONENT)
     rig.pipes[0]._inner.send(mavlink.MAVLink_mission_count_message(1, 1, 5).pack(other))
     rig.sim.advance(0.5)
     rig.link._station.settle(1.0)

@@ -15,6 +15,7 @@ from adapters.downloads import download
 from adapters.endpoint import in_process_pair
 from adapters.fleet_link import FleetLink, download_missions
 from adapters.listener import by_sysid
+from adapters.mission_protocol import OWN_COMPONENT, OWN_SYSID
 from adapters.pymavlink_link import PymavlinkLink
 from adapters.vehicle_parameters import read_parameters
 from missionplanner.errors import LinkError
@@ -323,3 +324,39 @@ def test_nothing_is_said_of_others_where_there_are_none() -> None:
         restore([saved], rig.pipes, rig.clock)
     assert "mixture" in str(failure.value)
     assert "others" not in str(failure.value) and "is held" not in str(failure.value)
+
+
+@BOTH
+def test_nothing_is_served_once_it_has_been_read_back(autopilot: Autopilot) -> None:
+    """Another ground station, with our ids even, gives the vehicle a mission of its own: none of our items gets in."""
+    rig = Rig(small_fleet(autopilot, 1))
+    rig.upload()
+    sent: list[str] = []
+
+    def spy(message: Any) -> Any:
+        sent.append(message.get_type())
+        return message
+
+    rig.pipes[0].up = spy
+    for component in (OWN_COMPONENT, mavlink.MAV_COMP_ID_MISSIONPLANNER):
+        other = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=component)
+        rig.pipes[0]._inner.send(mavlink.MAVLink_mission_count_message(1, 1, 5).pack(other))
+        rig.link._station.settle(1.0)
+        assert "MISSION_ITEM_INT" not in sent
+
+
+def test_who_uploads_as_ground_stations_are_delivered_is_not_served_our_items() -> None:
+    rig = Rig(small_fleet("ardupilot", 1))
+    rig.link.connect()
+    rig.link.upload()  # not read back yet: what the vehicle asks for again is served
+    other = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=mavlink.MAV_COMP_ID_MISSIONPLANNER)
+    rig.pipes[0]._inner.send(mavlink.MAVLink_mission_count_message(1, 1, 5).pack(other))
+    sent: list[str] = []
+
+    def spy(message: Any) -> Any:
+        sent.append(message.get_type())
+        return message
+
+    rig.pipes[0].up = spy
+    rig.link._station.settle(1.0)
+    assert "MISSION_ITEM_INT" not in sent

@@ -9,7 +9,16 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.mission_items import MissionItem, plan_items
-from adapters.mission_protocol import Message, MissionDownload, MissionUpload, Party, Timing, item_message, mismatches
+from adapters.mission_protocol import (
+    OWN_COMPONENT,
+    Message,
+    MissionDownload,
+    MissionUpload,
+    Party,
+    Timing,
+    item_message,
+    mismatches,
+)
 from missionplanner.errors import LinkError
 from missionplanner.vehicle import Autopilot, VehicleClass
 from tests.plans import FRAME, vehicle_plan
@@ -28,15 +37,15 @@ def from_vehicle(message: Message) -> Message:
 
 def request(seq: int, *, integer: bool = False) -> Message:
     kind = mavlink.MAVLink_mission_request_int_message if integer else mavlink.MAVLink_mission_request_message
-    return from_vehicle(kind(255, 190, seq))
+    return from_vehicle(kind(255, OWN_COMPONENT, seq))
 
 
 def ack(result: int) -> Message:
-    return from_vehicle(mavlink.MAVLink_mission_ack_message(255, 190, result))
+    return from_vehicle(mavlink.MAVLink_mission_ack_message(255, OWN_COMPONENT, result))
 
 
 def count(number: int) -> Message:
-    return from_vehicle(mavlink.MAVLink_mission_count_message(255, 190, number))
+    return from_vehicle(mavlink.MAVLink_mission_count_message(255, OWN_COMPONENT, number))
 
 
 def begun(autopilot: Autopilot = "ardupilot", upto: int | None = None) -> MissionUpload:
@@ -253,10 +262,10 @@ def test_a_download_from_list_to_ack() -> None:
         [asked] = replies
         assert (asked.get_type(), asked.seq) == ("MISSION_REQUEST_INT", seq)
         message = item_message(item, 255)
-        message.target_component = 190
+        message.target_component = OWN_COMPONENT
         if seq == 2:  # an item that was not asked for changes nothing
             stray = item_message(ITEMS[4], 255)
-            stray.target_component = 190
+            stray.target_component = OWN_COMPONENT
             assert download.receive(from_vehicle(stray), 0.2) == []
         replies = download.receive(from_vehicle(message), 0.2)
     assert [m.get_type() for m in replies] == ["MISSION_ACK"]
@@ -305,7 +314,7 @@ def test_a_busy_vehicle_is_asked_for_its_mission_again() -> None:
 def test_firmware_without_rally_points_holds_none() -> None:
     download = MissionDownload(PARTY, mission_type=mavlink.MAV_MISSION_TYPE_RALLY)
     download.poll(0.0)
-    refusal = mavlink.MAVLink_mission_ack_message(255, 190, mavlink.MAV_MISSION_UNSUPPORTED, mission_type=2)
+    refusal = mavlink.MAVLink_mission_ack_message(255, OWN_COMPONENT, mavlink.MAV_MISSION_UNSUPPORTED, mission_type=2)
     refusal.pack(mavlink.MAVLink(None, srcSystem=PARTY.sysid, srcComponent=1))
     assert download.receive(refusal, 0.1) == []
     assert (download.done, download.items, download.total) == (True, (), 0)
@@ -426,7 +435,7 @@ def test_too_many_fence_or_rally_items_are_told_as_such(kind: int, what: str) ->
     upload = MissionUpload(PARTY, "px4", ITEMS, mission_type=kind)
     [first] = upload.poll(0.0)
     assert first.mission_type == kind
-    refusal = from_vehicle(mavlink.MAVLink_mission_ack_message(255, 190, mavlink.MAV_MISSION_NO_SPACE, kind))
+    refusal = from_vehicle(mavlink.MAVLink_mission_ack_message(255, OWN_COMPONENT, mavlink.MAV_MISSION_NO_SPACE, kind))
     assert upload.receive(ack(mavlink.MAV_MISSION_NO_SPACE), 0.1) == []  # of a mission
     now_s = 0.1
     with pytest.raises(LinkError, match=rf"refused {what} of 6 items \(no space\) 13 times; it holds fewer"):

@@ -11,6 +11,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.endpoint import InProcessEndpoint, in_process_pair, open_endpoint
+from adapters.mission_protocol import OWN_COMPONENT
 from adapters.pymavlink_link import PymavlinkLink
 from adapters.telemetry_log import FleetLog, read_log
 from missionplanner.errors import LinkError
@@ -37,7 +38,7 @@ def test_what_is_sent_to_a_vehicle_goes_where_it_was_heard() -> None:
         link.send(mavlink.MAVLink_mission_request_list_message(2, 1), 2, 0.1)
     assert heard(air1) == []
     messages = heard(air2)
-    assert [(m.get_srcSystem(), m.get_srcComponent()) for m in messages] == [(255, 190)] * 3
+    assert [(m.get_srcSystem(), m.get_srcComponent()) for m in messages] == [(255, OWN_COMPONENT)] * 3
     assert [m.get_seq() for m in messages] == [1, 2, 3]
     with pytest.raises(LinkError, match="sysid 9: expected it on one, two, never heard of it"):
         link.send(mavlink.MAVLink_mission_request_list_message(9, 1), 9, 0.1)
