@@ -941,37 +941,38 @@ class FlightControl:
         self._station.settle(_HEARTBEAT_S)  # whoever has just been armed or started says so
         asked = {k: v for k, v in self._vehicles.items() if v.armed or v.asked_to_arm}
         now_s = self._clock.now_s()
-        landing: list[str] = []
-        returning: list[str] = []
-        refusing: list[str] = []
-        silent = [v.plan.name for k, v in self._vehicles.items() if k not in asked and v.silent_s(now_s) > UNHEARD_S]
+        ends: dict[int, str] = {}  # how each one ends that is not on the ground
 
-        def ending(vehicle: FleetVehicle) -> Steps:
-            name = vehicle.plan.name
+        def ending(sysid: int, vehicle: FleetVehicle) -> Steps:
+            ends[sysid] = "silent"
             try:
                 if (yield from self._disarming(vehicle)):
-                    self._ground(vehicle.plan.sysid, vehicle.error("its start was called off"))
+                    del ends[sysid]
+                    self._ground(sysid, vehicle.error("its start was called off"))
                     return
                 vehicle.started = True  # it has left the ground
                 refusal = yield from self._changing_mode(vehicle, "land")
             except LinkError:
                 vehicle.command = None
-                silent.append(name)
                 return
-            if refusal:
-                refusing.append(f"{name} was told to land, and {refusal}")
-                return
-            vehicle.order = "land"
-            (returning if vehicle.modes["land"] == vehicle.modes["rtl"] else landing).append(name)
+            vehicle.order = None if refusal else "land"
+            ends[sysid] = refusal or ("rtl" if vehicle.modes["land"] == vehicle.modes["rtl"] else "land")
 
-        self._station.together({sysid: ending(vehicle) for sysid, vehicle in asked.items()})
-        told = [f"{'; '.join(refusing)}: take over by hand"] if refusing else []
-        told += [f"{', '.join(silent)} did not answer and may be flying: take over by hand"] if silent else []
-        told += [f"{', '.join(landing)} told to land"] if landing else []
-        if returning:
-            told += [
-                f"{', '.join(returning)} told to return (planes do not land where they are), and circles above home"
-            ]
-        everybody = len(refusing) + len(silent) + len(landing) + len(returning) == len(self._vehicles)
-        told += [] if everybody else [f"{'the others' if told else 'all vehicles'} are disarmed on the ground"]
+        self._station.together({sysid: ending(sysid, vehicle) for sysid, vehicle in asked.items()})
+        ends |= {k: "silent" for k, v in self._vehicles.items() if k not in asked and v.silent_s(now_s) > UNHEARD_S}
+        names: dict[str, list[str]] = {}
+        for sysid, vehicle in self._vehicles.items():
+            if sysid in ends:
+                names.setdefault(ends[sysid], []).append(vehicle.plan.name)
+        says = {
+            "silent": "did not answer and may be flying: take over by hand",
+            "land": "told to land",
+            "rtl": "told to return (planes do not land where they are), and circles above home",
+        }
+        told = [
+            f"{', '.join(who)} {says.get(end, f'told to land, and {end}: take over by hand')}"
+            for end, who in names.items()
+        ]
+        if len(ends) < len(self._vehicles):
+            told.append(f"{'the others' if told else 'all vehicles'} are disarmed on the ground")
         return f"the start was called off: {'; '.join(told)}"

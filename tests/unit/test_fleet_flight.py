@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -15,7 +15,9 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.fleet_flight import Request
+from adapters.fleet_link import FleetLink
 from adapters.fleet_vehicle import Order
+from adapters.mission_items import WAYPOINT
 from adapters.telemetry_log import FleetLog, read_log
 from missionplanner.errors import LinkError
 from missionplanner.pacing import Pacer, Rules
@@ -24,7 +26,7 @@ from missionplanner.vehicle import Autopilot
 from sim.personality import Behaviour
 from tests.plans import fleet_plan, small_fleet, vehicle_plan
 from tests.rig import Rig
-from tests.unit.test_pace_keeper import courses
+from tests.unit.test_pace_keeper import Stopping, courses
 
 
 class Script:
@@ -116,8 +118,8 @@ def test_a_restart_of_missions_on_the_vehicle_does_not_send_it_back() -> None:
     flight = rig.link.watch(helm=script)
     assert results(script.answers[1]) == [("uav1", "obeyed")]
     track = flight.vehicles[0].trajectory
-    after = track.position_m[track.t_s > 70.0]
-    assert np.min(after[:, 0]) > 150.0  # it did not fly back to its first waypoint, 0
+    after = track.position_m[track.t_s > 58.0]
+    assert np.min(after[:, 0]) > track.at(58.0)[0] - 10.0  # it did not fly back to its first waypoint, 0
 
 
 def test_one_alone_is_paused_and_the_others_fly_on() -> None:
@@ -470,3 +472,426 @@ def test_whatever_is_ordered_is_answered_truly(
             before_m = vehicle.position_m
             rig.sim.advance(3.0)
             assert np.linalg.norm(vehicle.position_m - before_m) < 0.5
+
+
+def refusing(rig: Rig, k: int, command: int, when: Callable[[Any], bool] = lambda _message: True) -> None:
+    """Let vehicle k refuse a command."""
+    pipe = rig.pipes[k]
+    nobodys = 31_998
+
+    def up(message: Any) -> Any:
+        if message.get_type() == "COMMAND_LONG" and message.command == command and when(message):
+            message.command = nobodys
+        return message
+
+    def down(message: Any) -> Any:
+        if message.get_type() == "COMMAND_ACK" and message.command == nobodys:
+            message.command, message.result = command, mavlink.MAV_RESULT_FAILED
+        return message
+
+    pipe.up, pipe.down = up, down
+
+
+def arms(message: Any) -> bool:
+    return bool(message.param1 == 1.0)
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_start_that_is_called_off_leaves_nobody_armed_who_was_armed_just_now(autopilot: Autopilot) -> None:
+    """No heartbeat has told yet that the first is armed when the second refuses."""
+    rig = Rig(small_fleet(autopilot, 2))
+    rig.upload()
+    refusing(rig, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, arms)
+    with pytest.raises(LinkError, match="the start was called off: all vehicles are disarmed on the ground"):
+        rig.link.start()
+    assert rig.armed() == [False, False]
+
+
+def test_planes_are_not_said_to_land_when_a_start_is_called_off() -> None:
+    planes = [
+        replace(
+            vehicle_plan(
+                f"p{k}",
+                k,
+                vehicle_class="plane",
+                end="loiter",
+                home_m=(0, 200 * k, 1200),
+                waypoints_m=((0, 200 * k, 1260), (800, 200 * k, 1260), (1600, 200 * k, 1260)),
+            ),
+            speeds_m_s=np.full(2, 18.0),
+        )
+        for k in (1, 2)
+    ]
+    rig = Rig(fleet_plan(*planes))
+    rig.upload()
+    refusing(rig, 1, mavlink.MAV_CMD_MISSION_START)
+    with pytest.raises(LinkError) as error:
+        rig.link.start()
+    assert "p1 told to return (planes do not land where they are), and circles above home" in str(error.value)
+    assert "told to land" not in str(error.value)
+    assert str(error.value).endswith("the others are disarmed on the ground")
+
+
+def test_who_refuses_to_land_when_a_start_is_called_off_has_answered() -> None:
+    rig = Rig(small_fleet("ardupilot", 2))
+    rig.upload()
+    refusing(rig, 1, mavlink.MAV_CMD_MISSION_START)
+    refusing(rig, 0, mavlink.MAV_CMD_DO_SET_MODE, lambda message: message.param2 == 9.0)
+    with pytest.raises(LinkError, match=r"uav1 told to land, and refused.*: take over by hand") as error:
+        rig.link.start()
+    assert "did not answer" not in str(error.value)
+
+
+def change_mission(rig: Rig, sysid: int, by_m: float = -20.0) -> None:
+    """Give a vehicle another mission, as another ground station may."""
+    stored = rig.sim.links[sysid - 1].missions._stores[mavlink.MAV_MISSION_TYPE_MISSION]
+    stored[:] = [replace(i, z=i.z + by_m) if i.command == WAYPOINT and i.seq > 1 else i for i in stored]
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_a_mission_that_was_changed_since_it_was_read_back_is_not_flown(autopilot: Autopilot) -> None:
+    rig = Rig(small_fleet(autopilot, 2))
+    rig.upload()
+    change_mission(rig, 2)
+    with pytest.raises(LinkError, match=r"uav2 \(sysid 2\): it holds another mission than its plan's: item .* armed$"):
+        rig.link.start()
+    assert rig.armed() == [False, False]
+
+
+def test_a_mission_that_was_changed_before_a_start_by_the_clock_is_not_flown() -> None:
+    rig = Rig(small_fleet("ardupilot", 2))
+    rig.upload()
+    at_s = rig.clock.now_s() + 90.0
+    wait = rig.clock.wait
+
+    def waiting(seconds: float) -> None:
+        wait(seconds)
+        if rig.clock.now_s() > at_s - 60.0:
+            rig.clock.wait = wait  # type: ignore[method-assign]
+            change_mission(rig, 1)
+
+    rig.clock.wait = waiting  # type: ignore[method-assign]
+    with pytest.raises(LinkError, match=r"uav1 \(sysid 1\): it holds another mission .*nothing was armed"):
+        rig.link.start(at_s=at_s)
+    assert rig.clock.now_s() < at_s
+    assert rig.armed() == [False, False]
+
+
+def test_a_mission_that_was_changed_before_a_later_start_is_not_flown() -> None:
+    rig = started(delayed())
+    change_mission(rig, 2)
+    told: list[str] = []
+    with pytest.raises(LinkError, match=r"second \(sysid 2\): it holds another mission"):
+        rig.link.watch(tell=told.append)
+    assert any("it was not started; the others fly their missions" in line for line in told)
+    assert float(rig.sim.links[1].autopilot.position_m[2]) == pytest.approx(1200.0, abs=0.1)
+
+
+@pytest.mark.parametrize("k", [0, 1])
+def test_who_is_armed_already_is_not_started(k: int) -> None:
+    rig = Rig(small_fleet("ardupilot", 2))
+    rig.upload()
+
+    def armed(message: Any) -> Any:
+        if message.get_type() == "HEARTBEAT":
+            message.base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        return message
+
+    rig.pipes[k].down = armed
+    with pytest.raises(LinkError, match=rf"uav{k + 1} .*is armed already, not from here.*; nothing was armed"):
+        rig.link.start()
+    assert rig.armed() == [False, False]
+
+
+def in_flight(plan: FleetPlan, at_s: float = 40.0) -> Rig:
+    rig = started(plan)
+    rig.sim.advance(at_s)
+    rig.link._station.settle(1.5)
+    return rig
+
+
+def switch(rig: Rig, mode: str | Behaviour, k: int = 0) -> None:
+    """Let a vehicle change its mode by itself, or by its pilot's switch."""
+    autopilot = rig.sim.links[k].autopilot
+    kind = autopilot.personality
+    autopilot.set_mode(kind.mode(mode) if isinstance(mode, str) else kind.mode_for(mode), rig.clock.now_s())
+    rig.link._station.settle(3.0)
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+def test_resuming_all_takes_nobody_out_of_a_failsafe(autopilot: Autopilot) -> None:
+    rig = in_flight(long_legs(autopilot))
+    assert results(rig.link.order("pause", ["uav2"])) == [("uav2", "obeyed")]
+    switch(rig, Behaviour.RTL)
+    outcomes = rig.link.order("resume")
+    assert results(outcomes) == [("uav1", "refused"), ("uav2", "obeyed")]
+    assert "it returns home, and was not paused from here" in outcomes[0].words
+    assert rig.sim.links[0].autopilot.mode.behaviour is Behaviour.RTL
+    assert results(rig.link.order("resume", ["uav1"], unproven=True)) == [("uav1", "obeyed")]
+    assert rig.sim.links[0].autopilot.flying_mission
+
+
+def test_who_was_paused_here_and_returns_by_a_failsafe_since_is_not_resumed_with_all() -> None:
+    rig = in_flight(long_legs("px4", 1))
+    rig.link.order("pause")
+    switch(rig, Behaviour.RTL)
+    assert results(rig.link.order("resume")) == [("uav1", "refused")]
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize(
+    ("order", "mode", "said"),
+    [
+        ("rtl", Behaviour.AUTO, "uav1 flies on with its mission, at item"),
+        ("pause", Behaviour.RTL, "uav1 returns home"),
+        ("land", "hold", "uav1 holds, at item"),
+    ],
+)
+def test_the_last_word_is_what_a_vehicle_does_not_what_it_was_told(
+    autopilot: Autopilot, order: Order, mode: Behaviour | Literal["hold"], said: str
+) -> None:
+    rig = in_flight(long_legs(autopilot, 1))
+    assert results(rig.link.order(order)) == [("uav1", "obeyed")]
+    held = Behaviour.GUIDED if autopilot == "ardupilot" else Behaviour.HOLD
+    switch(rig, held if mode == "hold" else mode)
+    (words,) = rig.link.standing()
+    assert words.startswith(said)
+
+
+def test_a_mode_of_the_pilots_is_named() -> None:
+    rig = in_flight(long_legs("ardupilot", 1))
+    rig.link.order("pause")
+    switch(rig, "LOITER")
+    assert rig.link.standing()[0].startswith("uav1 is in mode LOITER, not in its mission, at item")
+
+
+def test_who_was_kept_on_the_ground_and_is_armed_by_hand_is_not_said_to_stay_there() -> None:
+    rig = started(delayed())
+    begun_s = rig.clock.now_s()
+
+    def armed(message: Any) -> Any:
+        if message.get_type() == "HEARTBEAT" and rig.clock.now_s() - begun_s > 15.0:
+            message.base_mode |= mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+            message.custom_mode = 5
+        return message
+
+    class Leaving(Script):
+        def request(self) -> Request | None:
+            if self._rig.clock.now_s() - self._begun_s > 20.0:
+                raise KeyboardInterrupt
+            return super().request()
+
+    rig.pipes[1].down = armed
+    with pytest.raises(KeyboardInterrupt):
+        rig.link.watch(helm=Leaving(rig, (5.0, "rtl", ("second",))))
+    assert rig.link.flying == ["first", "second"]
+    assert rig.link.standing()[1].startswith("second is in mode LOITER, not in its mission")
+
+
+def test_an_autopilot_that_restarts_in_flight_is_not_said_to_be_on_the_ground() -> None:
+    rig = in_flight(small_fleet("ardupilot", 1), 20.0)
+    base_ms: list[int] = []
+
+    def restarted(message: Any) -> Any:
+        if message.get_type() == "HEARTBEAT":
+            message.base_mode &= ~mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        if message.get_type() == "EXTENDED_SYS_STATE":
+            message.landed_state = mavlink.MAV_LANDED_STATE_ON_GROUND
+        if hasattr(message, "time_boot_ms"):
+            base_ms.append(message.time_boot_ms)
+            message.time_boot_ms -= base_ms[0] - 1_000
+        return message
+
+    rig.pipes[0].down = restarted
+    with pytest.raises(LinkError, match=r"uav1 \(sysid 1\): its autopilot restarted in flight"):
+        rig.link.watch()
+    rig.link._station.settle(2.0)
+    (words,) = rig.link.standing()
+    assert words.startswith("uav1 has restarted its autopilot in flight, ")
+    assert words.endswith("and is disarmed: what it does is not known")
+
+
+def test_who_is_disarmed_in_the_air_is_lost_not_landed() -> None:
+    rig = in_flight(small_fleet("ardupilot", 2), 15.0)
+
+    def disarmed(message: Any) -> Any:
+        if message.get_type() == "HEARTBEAT":
+            message.base_mode &= ~mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+        return None if message.get_type() == "EXTENDED_SYS_STATE" else message
+
+    def left(message: Any) -> Any:
+        return None if rig.clock.now_s() > ends_s else disarmed(message)
+
+    ends_s = rig.clock.now_s() + 9.0
+    rig.pipes[0].down = left
+    told: list[str] = []
+    with pytest.raises(LinkError, match=r"uav1 \(sysid 1\): disarmed in the air, \d\d m above home, at item"):
+        rig.link.watch(tell=told.append)
+    assert any(line.startswith("uav1 is disarmed in the air, ") for line in told)
+    assert rig.link.flight().vehicles[0].landed_s is None
+    assert rig.link.flight().vehicles[1].landed_s is not None
+
+
+@pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
+@pytest.mark.parametrize("order", ["pause", "rtl"])
+def test_an_order_is_obeyed_though_only_its_answer_was_lost(autopilot: Autopilot, order: Order) -> None:
+    rig = in_flight(long_legs(autopilot, 1))
+    rig.pipes[0].down = lose(lambda message: message.get_type() == "COMMAND_ACK")
+    (outcome,) = rig.link.order(order)
+    assert outcome.result == "obeyed"
+    assert rig.link.standing() == [outcome.words]
+
+
+def test_who_does_not_answer_is_said_to_do_what_it_is_seen_to_do() -> None:
+    rig = in_flight(long_legs("ardupilot", 1))
+    rig.pipes[0].up = lambda _message: None
+    assert results(rig.link.order("rtl")) == [("uav1", "silent")]
+    (words,) = rig.link.standing()
+    assert words.startswith("uav1 flies on with its mission, at item")
+    assert "(it was told to rtl, and does not answer" in words
+
+
+def test_a_warning_of_the_way_back_holds_for_that_place_and_order_only() -> None:
+    rig = in_flight(long_legs("px4", 1))
+
+    def resume() -> str:
+        (outcome,) = rig.link.order("resume", ["uav1"])
+        assert (outcome.result == "obeyed") != ("the way there is not proven; resume again" in outcome.words)
+        return outcome.result
+
+    def wait(duration_s: float) -> None:
+        rig.link._station.settle(duration_s)
+
+    assert rig.link.order("rtl")[0].result == "obeyed"
+    wait(22.0)
+    assert resume() == "refused"
+    assert rig.link.order("pause")[0].result == "obeyed"  # it is told something else meanwhile
+    assert resume() == "refused"
+    wait(1.0)
+    assert resume() == "obeyed"
+    assert rig.link.order("pause")[0].result == "obeyed"
+    assert resume() == "refused"  # off its leg still: said again
+    assert rig.link.order("rtl")[0].result == "obeyed"
+    assert resume() == "refused"
+    wait(8.0)
+    assert resume() == "refused"  # it has flown on since
+    assert resume() == "obeyed"
+
+
+def test_a_resume_uses_its_warning_up() -> None:
+    rig = in_flight(long_legs("px4", 1))
+    rig.link.order("rtl")
+    rig.link._station.settle(22.0)
+    switch(rig, Behaviour.HOLD)
+    assert [rig.link.order("resume", ["uav1"])[0].result for _ in range(2)] == ["refused", "obeyed"]
+    switch(rig, Behaviour.HOLD)  # by its pilot, off its leg still
+    assert rig.link.order("resume", ["uav1"])[0].result == "refused"
+
+
+def test_what_vehicles_warn_of_is_shown_and_who_leaves_its_mission_is_told_once() -> None:
+    rig = in_flight(long_legs("ardupilot"))
+    autopilot = rig.sim.links[0].autopilot
+    wait, done = rig.clock.wait, []
+    at_s = rig.clock.now_s() + 3.0
+
+    def waiting(seconds: float) -> None:
+        wait(seconds)
+        if not done and rig.clock.now_s() > at_s:
+            done.append(True)
+            for _ in range(3):
+                autopilot._say(mavlink.MAV_SEVERITY_WARNING, "Battery 1 failsafe: RTL")
+            autopilot._say(mavlink.MAV_SEVERITY_INFO, "nothing to worry about")
+            autopilot.set_mode(autopilot.personality.mode_for(Behaviour.RTL), rig.clock.now_s())
+
+    rig.clock.wait = waiting  # type: ignore[method-assign]
+    told: list[str] = []
+    shown: list[tuple[str, str]] = []
+    with contextlib.suppress(LinkError):
+        rig.link.watch(lambda fleet: shown.extend((v.name, v.doing) for v in fleet), tell=told.append)
+    assert told.count("uav1: Battery 1 failsafe: RTL") == 1
+    assert not any("nothing to worry about" in line for line in told)
+    assert [line for line in told if "not by an order" in line] == ["uav1 returns home: not by an order given here"]
+    assert ("uav1", "returns") in shown
+    assert ("uav1", "flying") in shown
+    assert not any(name == "uav2" and doing == "returns" for name, doing in shown)
+
+
+def test_nobody_who_was_ordered_about_is_commanded_by_the_pace_keeper() -> None:
+    """Who stood to lose time, and was told to return, is not told to go on when its time is up, nor at the end."""
+    rig = Stopping()
+    rig.begin()
+    sent: list[float] = []
+    ordered_s: list[float] = []
+
+    def noted(message: Any) -> Any:
+        paces = (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, mavlink.MAV_CMD_DO_CHANGE_SPEED)
+        if message.get_type() == "COMMAND_LONG" and message.command in paces and ordered_s:
+            sent.append(rig.clock.now_s())
+        return message
+
+    class Returning(Script):
+        def request(self) -> Request | None:
+            if rig.stands and not ordered_s:
+                ordered_s.append(rig.clock.now_s())
+                return Request("rtl", frozenset({"uav1"}))
+            return None
+
+    rig.pipes[0].up = noted
+    pacer = Pacer(courses(rig.link._plan, (5.9, 6.0)), lambda _i, _j: 20.0, hold=True, rules=Rules(hold_s=2.0))
+    rig.link.watch(pacer=pacer, helm=Returning(rig))
+    assert ordered_s
+    assert sent == []
+
+
+def command(rig: Rig, order: Order, *names: str) -> list[tuple[str, str]]:
+    """Give an order as a ground station that has just come."""
+    plan = rig.link._plan
+    link = FleetLink(plan, list(rig.pipes), rig.clock)
+    outcomes = link.command(Request(order, frozenset(names)))
+    assert all(outcome.words.startswith(outcome.vehicle) for outcome in outcomes)
+    assert not any("uploaded" in outcome.words for outcome in outcomes)
+    return [(outcome.result, outcome.words) for outcome in outcomes]
+
+
+def test_a_ground_station_that_comes_by_orders_all_whom_it_hears() -> None:
+    rig = in_flight(small_fleet("ardupilot", 3), 15.0)
+    rig.pipes[1].down = lambda _message: None
+    begun_s = rig.clock.now_s()
+    first, second, third = command(rig, "rtl")
+    assert rig.clock.now_s() - begun_s < 12.0
+    assert (first[0], second[0], third[0]) == ("obeyed", "silent", "obeyed")
+    assert second[1] == "uav2 is not heard, and was not told to rtl: take over by hand"
+    modes = [link.autopilot.mode.behaviour for link in rig.sim.links]
+    assert modes == [Behaviour.RTL, Behaviour.AUTO, Behaviour.RTL]
+    for pipe in rig.pipes:
+        pipe.down = lambda _message: None
+    with pytest.raises(LinkError, match="nobody answered"):
+        command(rig, "land")
+
+
+def test_a_ground_station_that_comes_by_orders_nobody_who_is_another() -> None:
+    rig = in_flight(small_fleet("ardupilot", 2), 15.0)
+
+    def another(message: Any) -> Any:
+        if message.get_type() == "HEARTBEAT":
+            message.type = mavlink.MAV_TYPE_FIXED_WING
+        return message
+
+    rig.pipes[0].down = another
+    (refused, why), (obeyed, _) = command(rig, "land")
+    assert (refused, obeyed) == ("refused", "obeyed")
+    assert "expected ardupilot copter, got ardupilot plane" in why
+    assert rig.sim.links[0].autopilot.flying_mission
+
+
+def test_a_ground_station_that_comes_by_resumes_only_the_plans_missions() -> None:
+    rig = in_flight(long_legs("ardupilot", 3))
+    for k in range(3):
+        switch(rig, Behaviour.HOLD, k)
+    rig.sim.links[0].missions._stores[mavlink.MAV_MISSION_TYPE_MISSION].clear()
+    change_mission(rig, 2)
+    first, second, third = command(rig, "resume", "uav1", "uav2", "uav3")
+    assert first == ("refused", "uav1 is not resumed: it holds no mission")
+    assert second[0] == "refused"
+    assert second[1].startswith("uav2 is not resumed: it holds another mission than its plan's: item")
+    assert third[0] == "obeyed", third
