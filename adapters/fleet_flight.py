@@ -364,8 +364,8 @@ class FlightControl:
 
     @property
     def armed(self) -> list[str]:
-        """The names of the vehicles that are armed."""
-        return [vehicle.plan.name for vehicle in self._vehicles.values() if vehicle.armed]
+        """The names of the vehicles that are armed, or were asked to be and have not been disarmed since."""
+        return [vehicle.plan.name for vehicle in self._vehicles.values() if vehicle.armed or vehicle.asked_to_arm]
 
     @property
     def started(self) -> bool:
@@ -867,7 +867,7 @@ class FlightControl:
                     f"{vehicle.said(self._clock.now_s())}"
                 )
             yield
-        vehicle.started = True
+        vehicle.started, vehicle.asked_to_arm = True, False
         self._station.link.unpin(vehicle.plan.sysid)
 
     def _wait_until(self, at_s: float | None) -> None:
@@ -907,7 +907,7 @@ class FlightControl:
                 vehicle.command = None
                 raise LinkError(f"{failure}; it does not answer and may be flying: take over by hand") from failure
             if not grounded:  # only what it said of its start was lost
-                vehicle.started = True
+                vehicle.started, vehicle.asked_to_arm = True, False
                 raise LinkError(f"{failure}; it has left the ground and is watched") from failure
             self._ground(vehicle.plan.sysid, failure)
             raise LinkError(f"{failure}; it is disarmed on the ground") from failure
@@ -918,6 +918,7 @@ class FlightControl:
         result = yield from self._station.commanding_until(
             vehicle, lambda: not vehicle.armed, disarm, 0.0, patience_s=_DISARM_S
         )
+        vehicle.asked_to_arm &= result != mavlink.MAV_RESULT_ACCEPTED
         return bool(result == mavlink.MAV_RESULT_ACCEPTED)
 
     def _check_home(self, vehicle: FleetVehicle) -> None:
@@ -950,7 +951,7 @@ class FlightControl:
                     del ends[sysid]
                     self._ground(sysid, vehicle.error("its start was called off"))
                     return
-                vehicle.started = True  # it has left the ground
+                vehicle.started, vehicle.asked_to_arm = True, False  # it has left the ground
                 refusal = yield from self._changing_mode(vehicle, "land")
             except LinkError:
                 vehicle.command = None

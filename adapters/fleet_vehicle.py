@@ -108,7 +108,7 @@ class FleetVehicle(Peer):
         self._uid = next((asked.uid for asked in fleet.mission.vehicles if asked.name == plan.name), None)
         self.guard = guard(fleet, plan)
         self._due_after_s = fleet.mission.fleet.arrives_after_s(plan.name)
-        self.asked_to_arm = False
+        self.asked_to_arm = False  # and neither seen to start nor disarmed since
         self.started = False  # seen to fly its mission
         self.held: tuple[MissionItem, ...] | None = None
         self.current_item: int | None = None
@@ -210,6 +210,8 @@ class FleetVehicle(Peer):
             if up_m is not None:
                 return f"is disarmed in the air, {up_m:.0f} m above home"
             return "has landed" if self.recorder.landed else "is disarmed on the ground"
+        if self.asked_to_arm:
+            return "is armed, and was not seen to start"
         if self.ended and (self.in_mode("auto") or self.in_mode("hold")):
             return "is where its mission ends"
         if self.in_mode("auto"):

@@ -5,18 +5,21 @@ from __future__ import annotations
 import json
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.fleet_flight import Request
 from missionplanner import flight_console
+from missionplanner.errors import LinkError, MissionError
 from missionplanner.flight_console import ORDERS_FOLDER, fly_and_watch
 from missionplanner.pacing import Pacer
 from missionplanner.plan import FleetFlight, FleetPlan
 from tests.plans import small_fleet
 from tests.rig import Rig
-from tests.unit.test_fleet_flight import delayed
+from tests.unit.test_fleet_flight import arms, delayed, lose, refusing
 from tests.unit.test_pace_keeper import courses
 
 
@@ -55,13 +58,15 @@ class Console:
     rig: Rig
 
     def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        self._folder = folder
+        self.folder = folder
+        self.meddle: Callable[[Rig], None] = lambda _rig: None  # with the links, before the start
         self._patch = monkeypatch
 
     def __call__(self, plan: FleetPlan, *steps: tuple[float, str | int], terminal: bool = True) -> FleetFlight:
         rig = self.rig = Rig(plan)
         rig.upload()
         rig.link.set_returns()
+        self.meddle(rig)
         keys = Typed(rig, terminal, *steps)
         self._patch.setattr(flight_console, "Keys", lambda: keys)
         wait, start = rig.clock.wait, rig.link.start
@@ -80,7 +85,7 @@ class Console:
         self._patch.setattr(rig.clock, "wait", waiting)
         self._patch.setattr(rig.link, "start", begin)
         pacer = Pacer(courses(plan), lambda _i, _j: 20.0, correct=False)
-        return fly_and_watch(rig.link, plan, pacer, self._folder, simulated=False, start_s=lambda _tell: None)
+        return fly_and_watch(rig.link, plan, pacer, self.folder, simulated=False, start_s=lambda _tell: None)
 
 
 @pytest.fixture
@@ -203,3 +208,95 @@ def test_another_terminal_may_order_while_it_flies(
     assert flight.vehicles[0].arrival_s is not None
     assert flight.vehicles[1].arrival_s is None
     assert not box.exists()
+
+
+def test_a_start_that_fails_with_somebody_armed_is_told_not_watched(
+    console: Console, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The first does not hear that it is to disarm; the second refuses to arm, late."""
+
+    def meddle(rig: Rig) -> None:
+        refusing(rig, 1, mavlink.MAV_CMD_COMPONENT_ARM_DISARM, arms)
+        disarms = mavlink.MAV_CMD_COMPONENT_ARM_DISARM
+        rig.pipes[0].up = lose(lambda m: m.get_type() == "COMMAND_LONG" and m.command == disarms and not arms(m))
+
+    console.meddle = meddle
+    with pytest.raises(LinkError, match="uav1 did not answer and may be flying: take over by hand"):
+        console(small_fleet("px4", 2))
+    said = last_line(capsys)
+    assert said.startswith("nobody watches them now: uav1 is armed, and was not seen to start; uav2 is disarmed")
+    assert said.endswith("may return by its own failsafe")
+    assert not (console.folder / ORDERS_FOLDER).exists()
+
+
+def test_a_half_started_fleet_that_flies_is_watched_down(console: Console, capsys: pytest.CaptureFixture[str]) -> None:
+    console.meddle = lambda rig: refusing(rig, 1, mavlink.MAV_CMD_MISSION_START)
+    with pytest.raises(LinkError, match=r"uav2 \(sysid 2\): its start was called off"):
+        console(small_fleet("ardupilot", 2))
+    assert "uav1 told to land; the others are disarmed on the ground; watching" in capsys.readouterr().err.replace(
+        "\n", " "
+    )
+    assert [link.autopilot.landed for link in console.rig.sim.links] == [True, True]
+    assert console.rig.link.flight().vehicles[0].landed_s is not None
+
+
+def test_nothing_flies_where_orders_cannot_be_taken(console: Console) -> None:
+    (console.folder / ORDERS_FOLDER).write_text("a file")
+    with pytest.raises(MissionError, match="orders: expected a folder that can be written to"):
+        console(small_fleet("ardupilot", 2))
+    assert console.rig.armed() == [False, False]
+    assert not console.rig.link.started
+
+
+@pytest.mark.parametrize("error", [OSError("the radio is gone"), MissionError("a full disk"), LinkError("lost")])
+def test_whatever_ends_the_watch_the_last_word_is_said(
+    console: Console, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def request(_bridge: object) -> None:
+        assert console.rig.link._start_s is not None
+        if console.rig.link.now_s > console.rig.link._start_s + 22.5:  # the second is armed
+            raise error
+
+    monkeypatch.setattr(flight_console._Bridge, "request", request)
+    with pytest.raises(type(error), match=str(error)):
+        console(delayed())
+    assert console.rig.link.flying[0] == "first"
+    said = last_line(capsys)
+    assert said.startswith("nobody watches them now: first flies on with its mission, at item")
+    assert "second is disarmed on the ground" in said
+    assert console.rig.armed() == [True, False]
+
+
+@pytest.mark.parametrize("error", [OSError("the radio is gone"), RuntimeError("a bug")])
+def test_whatever_ends_the_start_nobody_is_left_armed_and_it_is_said(
+    console: Console, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def meddle(rig: Rig) -> None:
+        wait = rig.clock.wait
+
+        def waiting(seconds: float) -> None:
+            wait(seconds)
+            if all(rig.armed()):
+                monkeypatch.setattr(rig.clock, "wait", wait)
+                raise error
+
+        monkeypatch.setattr(rig.clock, "wait", waiting)
+
+    console.meddle = meddle
+    with pytest.raises(type(error), match=str(error)):
+        console(small_fleet("px4", 2))
+    assert console.rig.armed() == [False, False]
+    assert last_line(capsys) == "nobody flies: uav1 is disarmed on the ground; uav2 is disarmed on the ground"
+
+
+def test_an_answer_that_cannot_be_written_ends_no_flight(
+    console: Console, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_arguments: object) -> None:
+        raise MissionError("orders: could not be written: No space left on device")
+
+    monkeypatch.setattr(flight_console.OrderBox, "answer", full)
+    flight = console(small_fleet("ardupilot", 1), (20.0, "p"), (30.0, "c"))
+    assert [ordered.result for ordered in flight.orders] == ["obeyed", "obeyed"]
+    assert flight.vehicles[0].landed_s is not None
+    assert "the other terminal does not hear what came of its order" in capsys.readouterr().err.replace("\n", " ")
