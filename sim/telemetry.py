@@ -185,7 +185,8 @@ class Telemetry:
         """Return the messages whose subject has changed since the last call."""
         autopilot = self._autopilot
         seen = (
-            (autopilot.armed, autopilot.mode.custom_mode),
+            # once a second, armed or not; ArduPilot tells of a mode at once
+            autopilot.mode.custom_mode if autopilot.personality.autopilot == "ardupilot" else None,
             (autopilot.current, autopilot.mission_state, len(autopilot.mission)),
             autopilot.landed_state,
             tuple(autopilot.home_m),
