@@ -341,27 +341,6 @@ def test_nothing_is_commanded_while_an_operator_has_a_say() -> None:
     assert all(vehicle.landed_s is not None for vehicle in flight.vehicles)
 
 
-def test_who_stood_to_lose_time_and_is_paused_stays_paused_when_the_watch_ends() -> None:
-    plan = long_legs("ardupilot", 2)
-    rig = started(plan)
-    pacer = Pacer(courses(plan), lambda _i, _j: 20.0, correct=True, hold=True)
-
-    class Leaving(Script):
-        def request(self) -> Request | None:
-            if len(self.answers) == 1:
-                raise KeyboardInterrupt
-            return super().request()
-
-    rig.sim.advance(40.0)
-    assert rig.link._station is not None
-    script = Leaving(rig, (0.5, "pause", ()))
-    with pytest.raises(KeyboardInterrupt):
-        rig.link.watch(pacer=pacer, helm=script)
-    assert all("stands on its way" in words for words in rig.link.standing())
-    rig.sim.advance(30.0)
-    assert all(link.autopilot.paused for link in rig.sim.links)
-
-
 def test_who_is_not_heard_when_the_watch_ends_is_not_said_to_fly_on() -> None:
     rig = started(small_fleet("px4", 1))
     rig.sim.advance(15.0)
@@ -816,31 +795,38 @@ def test_what_vehicles_warn_of_is_shown_and_who_leaves_its_mission_is_told_once(
     assert not any(name == "uav2" and doing == "returns" for name, doing in shown)
 
 
-def test_nobody_who_was_ordered_about_is_commanded_by_the_pace_keeper() -> None:
-    """Who stood to lose time, and was told to return, is not told to go on when its time is up, nor at the end."""
+@pytest.mark.parametrize("order", ["pause", "rtl"])
+def test_who_stood_to_lose_time_and_is_ordered_about_is_not_told_to_go_on(order: Order) -> None:
+    """Neither when its time is up, nor when the watch ends: it is the operator's now."""
     rig = Stopping()
     rig.begin()
-    sent: list[float] = []
     ordered_s: list[float] = []
+    sent: list[float] = []
 
     def noted(message: Any) -> Any:
-        paces = (mavlink.MAV_CMD_DO_PAUSE_CONTINUE, mavlink.MAV_CMD_DO_CHANGE_SPEED)
-        if message.get_type() == "COMMAND_LONG" and message.command in paces and ordered_s:
+        goes_on = message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_DO_PAUSE_CONTINUE
+        if goes_on and message.param1 == 1.0 and ordered_s:
             sent.append(rig.clock.now_s())
         return message
 
-    class Returning(Script):
+    class Ordering(Script):
         def request(self) -> Request | None:
             if rig.stands and not ordered_s:
                 ordered_s.append(rig.clock.now_s())
-                return Request("rtl", frozenset({"uav1"}))
+                return Request(order, frozenset({"uav1"}))
+            if ordered_s and rig.clock.now_s() > ordered_s[0] + 40.0:
+                raise KeyboardInterrupt
             return None
 
     rig.pipes[0].up = noted
     pacer = Pacer(courses(rig.link._plan, (5.9, 6.0)), lambda _i, _j: 20.0, hold=True, rules=Rules(hold_s=2.0))
-    rig.link.watch(pacer=pacer, helm=Returning(rig))
-    assert ordered_s
+    script = Ordering(rig)
+    with pytest.raises(KeyboardInterrupt):
+        rig.link.watch(pacer=pacer, helm=script)
+    assert [results(outcomes) for outcomes in script.answers] == [[("uav1", "obeyed")]]
+    rig.sim.advance(5.0)
     assert sent == []
+    assert rig.sim.links[0].autopilot.paused == (order == "pause")
 
 
 def command(rig: Rig, order: Order, *names: str) -> list[tuple[str, str]]:
