@@ -701,7 +701,7 @@ def test_who_is_disarmed_in_the_air_is_lost_not_landed() -> None:
     def left(message: Any) -> Any:
         return None if rig.clock.now_s() > ends_s else disarmed(message)
 
-    ends_s = rig.clock.now_s() + 9.0
+    ends_s = rig.clock.now_s() + 14.0
     rig.pipes[0].down = left
     told: list[str] = []
     with pytest.raises(LinkError, match=r"uav1 \(sysid 1\): disarmed in the air, \d\d m above home, at item"):
