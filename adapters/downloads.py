@@ -67,6 +67,7 @@ def download(
             peer.party = Party(f"sysid{sysid}", sysid)
         saved = yield from saving(station, peer, progress)
         yield from station.homing(peer)
+        peer.check_alone()  # still: what was read is one vehicle's
         found[sysid] = Found(saved, peer.home)
 
     station.together({k: finding(k, peer) for k, peer in peers.items()}, after_failure="nothing was written")

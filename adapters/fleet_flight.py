@@ -850,6 +850,12 @@ class FlightControl:
             raise vehicle.error(f"{did} arm{vehicle.said(self._clock.now_s())}")
 
     def _starting(self, vehicle: FleetVehicle) -> Steps:
+        try:
+            yield from self._seeing_start(vehicle)
+        finally:  # it may fly: where it comes back from another place, it must be heard, and obey
+            self._station.link.unpin(vehicle.plan.sysid)
+
+    def _seeing_start(self, vehicle: FleetVehicle) -> Steps:
         result = yield from self._station.commanding(
             vehicle,
             mavlink.MAV_CMD_MISSION_START,
@@ -868,7 +874,6 @@ class FlightControl:
                 )
             yield
         vehicle.started, vehicle.asked_to_arm = True, False
-        self._station.link.unpin(vehicle.plan.sysid)
 
     def _wait_until(self, at_s: float | None) -> None:
         """Hear all vehicles until it is time."""

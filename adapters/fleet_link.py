@@ -366,6 +366,7 @@ def _finding(
     if height_m < 0.0:
         remarks.append(f"{held_height.name} is {held_height.value:g}: it returns at its present height")
     yield from station.homing(peer)
+    peer.check_alone()  # still: what was read is one vehicle's
     found[peer.party.sysid] = Downloaded(
         peer.party.sysid, autopilot, vehicle_class, items, peer.home, height_m, tuple(remarks), parameters, notes
     )
