@@ -486,6 +486,22 @@ def test_a_start_that_is_called_off_leaves_nobody_armed_who_was_armed_just_now(a
     assert rig.armed() == [False, False]
 
 
+def test_who_was_asked_to_arm_is_disarmed_though_no_heartbeat_tells_that_it_is_armed() -> None:
+    rig = Rig(small_fleet("ardupilot", 2))
+    rig.upload()
+
+    def asked(message: Any) -> Any:
+        if message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
+            rig.pipes[0].down = lose(lambda m: m.get_type() == "HEARTBEAT")
+        return message
+
+    rig.pipes[0].up = asked
+    with pytest.raises(LinkError, match=r"uav1 \(sysid 1\): accepted, and did not arm") as error:
+        rig.link.start()
+    assert "all vehicles are disarmed" not in str(error.value)  # nobody has seen it
+    assert rig.armed() == [False, False]
+
+
 def test_planes_are_not_said_to_land_when_a_start_is_called_off() -> None:
     planes = [
         replace(
