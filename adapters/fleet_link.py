@@ -58,6 +58,9 @@ class ParameterChange:
     before: float
     after: float
 
+    def __str__(self) -> str:
+        return f"{self.vehicle}: set {self.name} from {self.before:g} to {self.after:g}"
+
 
 _UNREAD = "whoever is not named may hold its new mission, not read back; nothing was armed"
 
@@ -171,10 +174,11 @@ class FleetLink(FlightControl):
             A vehicle refuses them, or holds others than those sent; or holds a fence or limits of its own that would
             end its mission; nothing was armed.
         """
-        told: list[str] = []
-        goings = {k: self._guarding(vehicle, progress, told) for k, vehicle in self._vehicles.items()}
-        self._station.together(goings, after_failure="nothing was armed")
-        return tuple(told)
+        told = [text for vehicle in self._vehicles.values() for text in vehicle.guard.kept_back]
+        replaced: list[str] = []
+        goings = {k: self._guarding(vehicle, progress, replaced) for k, vehicle in self._vehicles.items()}
+        self._station.together(goings, after_failure=lambda: "; ".join([*replaced, "nothing was armed"]))
+        return (*told, *replaced)
 
     def set_returns(self, progress: TransferProgress | None = None) -> tuple[ParameterChange, ...]:
         """Set every vehicle to return straight home at its planned height, and read that back.
@@ -192,7 +196,8 @@ class FleetLink(FlightControl):
                 raise vehicle.error("is armed: land and disarm it before setting its return height; nothing was set")
         changes: list[ParameterChange] = []
         goings = {k: self._setting_returns(vehicle, progress, changes) for k, vehicle in self._vehicles.items()}
-        self._station.together(goings, after_failure="nothing was armed")
+        told = "nothing was armed"
+        self._station.together(goings, after_failure=lambda: "; ".join([*map(str, changes), told]))
         return tuple(changes)
 
     # what goes on with one vehicle, each a generator that yields whenever it waits
@@ -222,8 +227,7 @@ class FleetLink(FlightControl):
 
         vehicle.held = yield from self._station.reading_back(vehicle, vehicle.plan.autopilot, vehicle.items, tell)
 
-    def _guarding(self, vehicle: FleetVehicle, progress: TransferProgress | None, told: list[str]) -> Steps:
-        told += vehicle.guard.kept_back
+    def _guarding(self, vehicle: FleetVehicle, progress: TransferProgress | None, replaced: list[str]) -> Steps:
         name, autopilot = vehicle.plan.name, vehicle.plan.autopilot
         wanted_by_kind = {
             mavlink.MAV_MISSION_TYPE_FENCE: vehicle.guard.fence,
@@ -242,7 +246,7 @@ class FleetLink(FlightControl):
                 if vehicle.armed:
                     raise vehicle.error(f"is armed: land and disarm it before giving it a {what}; nothing was changed")
                 if held:
-                    told.append(f"{name}: its {what} of {len(held)} items was replaced")
+                    replaced.append(f"{name}: its {what} of {len(held)} items was replaced")
 
                 def tell(done: int, total: int) -> None:
                     _tell(progress, vehicle, done, total)

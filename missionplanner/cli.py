@@ -661,7 +661,7 @@ def _transfer(
     for remark in told:
         _warn(remark)
     for change in changes:
-        _warn(f"{change.vehicle}: set {change.name} from {change.before:g} to {change.after:g}; it keeps that")
+        _warn(f"{change}; it keeps that")
 
 
 @contextmanager

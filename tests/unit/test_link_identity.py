@@ -360,3 +360,11 @@ def test_who_uploads_as_ground_stations_are_delivered_is_not_served_our_items() 
     rig.pipes[0].up = spy
     rig.link._station.settle(1.0)
     assert "MISSION_ITEM_INT" not in sent
+
+
+def test_parameters_that_were_set_are_told_when_another_vehicle_fails() -> None:
+    rig = Rig(small_fleet("ardupilot", 2))
+    rig.upload()
+    rig.pipes[1].down = lambda message: None if message.get_type() == "PARAM_VALUE" else message
+    with pytest.raises(LinkError, match=r"uav2 \(sysid 2\).*; uav1: set RTL_CONE_SLOPE from 3 to 0; nothing was armed"):
+        rig.link.set_returns()
