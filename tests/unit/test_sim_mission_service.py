@@ -320,3 +320,31 @@ def test_items_for_another_vehicle_are_not_ours() -> None:
     assert ground.send(mavlink.MAVLink_mission_count_message(2, 1, 3)) == []
     assert ground.send(mavlink.MAVLink_mission_count_message(1, 154, 3)) == []  # its gimbal
     assert ground.run(2.0) and not of_type(ground.heard, "MISSION_REQUEST")
+
+
+@pytest.mark.parametrize(("autopilot", "mixed"), [("ardupilot", True), ("px4", False)])
+def test_who_has_our_ids_gets_its_items_in_at_ardupilot(autopilot: Autopilot, mixed: bool) -> None:
+    """It goes by ids alone, whatever the link: only the read-back protects against that."""
+    ground = Ground(autopilot)
+    second = other_ground(ground)
+    second._encoder = mavlink.MAVLink(None, srcSystem=255, srcComponent=190)  # as the first
+    items = mission(autopilot)
+    ground.send(mavlink.MAVLink_mission_count_message(1, 1, len(items), 0))
+    ground.send(item_message(items[0]))
+    theirs = replace(items[1], z=items[1].z + 300.0)
+    second.send(item_message(theirs))
+    for item in items[1 + mixed :]:
+        ground.send(item_message(item))
+    held = ground.vehicle.missions.items()
+    assert len(held) == len(items)
+    assert (abs(held[1].z - theirs.z) < 0.1) is mixed
+
+
+def test_anybody_may_begin_a_partial_write_at_ardupilot() -> None:
+    ground = Ground("ardupilot")
+    second = other_ground(ground)
+    items = mission("ardupilot")
+    assert ground.upload(items) == mavlink.MAV_MISSION_ACCEPTED
+    ground.send(mavlink.MAVLink_mission_count_message(1, 1, len(items), 0))
+    [asked] = second.send(mavlink.MAVLink_mission_write_partial_list_message(1, 1, 2, 3, 0))
+    assert (asked.get_type(), asked.seq) == ("MISSION_REQUEST", 2)
