@@ -944,7 +944,7 @@ class FlightControl:
 
     def _stand_down(self) -> str:
         """Bring a half-started fleet back to the ground, and say what came of it."""
-        self._station.settle(_HEARTBEAT_S)  # whoever has just been armed or started says so
+        self._station.settle(_HEARTBEAT_S)  # who has just been armed or started says so; what is under way has arrived
         asked = {k: v for k, v in self._vehicles.items() if v.armed or v.asked_to_arm}
         now_s = self._clock.now_s()
         ends: dict[int, str] = {}  # how each one ends that is not on the ground
