@@ -613,6 +613,12 @@ def switch(rig: Rig, mode: str | Behaviour, k: int = 0) -> None:
     rig.link._station.settle(3.0)
 
 
+def test_an_order_with_a_name_that_is_nobodys_is_given_to_nobody() -> None:
+    rig = in_flight(small_fleet("ardupilot", 2), 15.0)
+    assert rig.link.order("land", ["uav1", "typo"]) == ()
+    assert rig.sim.links[0].autopilot.flying_mission
+
+
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_resuming_all_takes_nobody_out_of_a_failsafe(autopilot: Autopilot) -> None:
     rig = in_flight(long_legs(autopilot))
