@@ -29,6 +29,7 @@ _SIGHT_S = 0.4
 _PATIENCE_S = 4.0  # for an answer: then the flight has gone on, and another speed would be right
 _THROTTLE_UNCHANGED = -1.0
 _RECORD_S = 10.0
+_THINK_AGAIN_S = 1.0
 
 
 class PaceKeeper:
@@ -57,7 +58,7 @@ class PaceKeeper:
         self._tell = tell
         self._thinking: Generator[None, None, Advice] | None = None
         self._commands: dict[int, Steps] = {}
-        self._sight_due_s = self._think_due_s = -math.inf
+        self._sight_due_s = self._think_due_s = self._thought_s = -math.inf
         self._remarks: tuple[str, ...] = ()
         self._history: list[list[tuple[float, float, float]]] = [[] for _ in peers]
 
@@ -106,7 +107,9 @@ class PaceKeeper:
                 next(self._commands[i])
             except StopIteration:
                 del self._commands[i]
-        if self._thinking is None and not self._commands and now_s >= self._think_due_s:
+        due = now_s >= self._think_due_s or (self._pacer.has_stood and now_s >= self._thought_s + _THINK_AGAIN_S)
+        if self._thinking is None and not self._commands and due:
+            self._thought_s = now_s
             self._think_due_s = now_s + self._pacer.rules.period_s
             self._thinking = self._pacer.deliberate()
         if self._thinking is not None:

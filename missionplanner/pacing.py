@@ -650,6 +650,18 @@ class Pacer:
         """Who stands by our command, or may: each waits for a command to go on."""
         return frozenset(k for k, tracked in enumerate(self._tracked) if tracked.stopped_s is not None)
 
+    @property
+    def has_stood(self) -> bool:
+        """Whether somebody has stood for as long as was thought: time to think, whatever the period."""
+        return any(
+            tracked.stopped_s is not None
+            and tracked.overdue_s is None
+            and tracked.seen is not None
+            and tracked.seen.paused
+            and tracked.seen.t_s >= tracked.stopped_s
+            for tracked in self._tracked
+        )
+
     def went_on(self, vehicle: int) -> None:
         """Take note that a stopped vehicle was let go on."""
         self._tracked[vehicle].stopped_s = self._tracked[vehicle].overdue_s = None
@@ -1039,7 +1051,12 @@ class Pacer:
         """Return who has stood long enough, and what keeps it from going on."""
         for k, pace in enumerate(paces):
             tracked = self._tracked[k]
-            if tracked.stopped_s is None or pace.state != "paused" or pace.at_s is None or pace.at_s < tracked.due_s:
+            if tracked.stopped_s is None or pace.state != "paused" or pace.at_s is None:
+                continue
+            first_s = min(
+                tracked.stopped_s, tracked.due_s
+            )  # the wait may turn out shorter, not the time to be asked again
+            if pace.at_s < (first_s if tracked.overdue_s is None else tracked.due_s):
                 continue
             wait_s = 0.0 if delays is None else self._wait_s(tracked, pace, delays[k])
             tracked.stopped_s = pace.at_s + wait_s
