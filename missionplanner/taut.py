@@ -601,7 +601,7 @@ def _cut_corners(
     leg = np.empty((2, 3))
     b = 1
     while b < size - 1 and size < p.shape[0]:
-        ab, bc = _distance(p, b - 1, b), _distance(p, b, b + 1)
+        ab, bc = max(_distance(p, b - 1, b), 1e-9), max(_distance(p, b, b + 1), 1e-9)  # two points may be one
         share = _CUT_FIRST
         for _ in range(_CUT_TRIALS):
             cut_m = share * min(ab, bc)

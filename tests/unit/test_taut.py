@@ -9,6 +9,7 @@ from missionplanner.clearance import Margins, legs_clear, polyline_legs
 from missionplanner.geodesy import FloatArray
 from missionplanner.obstacles import CableSolid, CylinderSolid, PrismSolid
 from missionplanner.seeds import first_guesses
+from missionplanner.taut import Rules, tighten
 from tests.oracles.tangent_graph import shortest_m
 from tests.unit.test_seeds import (
     CYLINDERS,
@@ -127,3 +128,13 @@ def test_thorough_paths_are_never_longer() -> None:
     plain, fine = (first_guesses(where, rules, start, goal, thorough=thorough)[0] for thorough in (False, True))
     check(where, rules, [fine], start, goal)
     assert length_m(fine) <= length_m(plain) * (1.0 + 1e-9)
+
+
+def test_points_that_are_one_are_drawn_taut_as_one() -> None:
+    where = space(CylinderSolid("mast", 0, 20, 60))
+    rules = Rules(20.0, math.inf, math.inf, 10.0, 0.0, math.tan(1.2), math.tan(1.2), 0.0)
+    corner = np.array([0.0, -80.0, WEST[2]])
+    way = np.array([WEST, corner, corner, EAST])
+    points = np.concatenate([way, np.zeros((60, 3))])
+    size = tighten(where, rules, np.empty((0, 11)), points, len(way), 0.01)
+    assert length_m(points[:size]) < length_m(way)
