@@ -119,6 +119,34 @@ class Endpoint(Protocol):
         ...
 
 
+class WrappedEndpoint:
+    """Another endpoint, whose bytes a subclass looks at or changes on their way."""
+
+    def __init__(self, inner: Endpoint) -> None:
+        self._inner = inner
+
+    @property
+    def url(self) -> str:
+        """Where the wrapped endpoint listens or connects to."""
+        return self._inner.url
+
+    def receive(self) -> list[tuple[bytes, Peer]]:
+        """Return what has arrived."""
+        return self._inner.receive()
+
+    def send(self, data: bytes, peer: Peer | None = None) -> None:
+        """Send to one peer, or to all that are known."""
+        self._inner.send(data, peer)
+
+    def filenos(self) -> list[int]:
+        """Return the wrapped endpoint's descriptors."""
+        return self._inner.filenos()
+
+    def close(self) -> None:
+        """Close the wrapped endpoint."""
+        self._inner.close()
+
+
 def open_endpoint(address: Address | str) -> Endpoint:
     """Open the endpoint that a URL or address describes.
 

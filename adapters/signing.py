@@ -22,7 +22,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.endpoint import Endpoint, Peer, open_endpoint
+from adapters.endpoint import Endpoint, Peer, WrappedEndpoint, open_endpoint
 from missionplanner.errors import LinkError, MissionError
 from missionplanner.files import write_atomic
 
@@ -146,19 +146,14 @@ class Signing:
         return self.dropped.setdefault(message.get_srcSystem(), Dropped())
 
 
-class SignedEndpoint:
+class SignedEndpoint(WrappedEndpoint):
     """An endpoint whose other side must hold the same key."""
 
     def __init__(self, inner: Endpoint, signing: Signing, link_id: int) -> None:
-        self._inner = inner
+        super().__init__(inner)
         self._signing = signing
         self._link_id = link_id
         self._parsers: dict[Peer, Any] = {}
-
-    @property
-    def url(self) -> str:
-        """Where it listens or connects to."""
-        return self._inner.url
 
     def receive(self) -> list[tuple[bytes, Peer]]:
         """Return the frames that have arrived and are signed as they must be."""
@@ -189,14 +184,6 @@ class SignedEndpoint:
             signed += self._signing.sign(data[start:end], self._link_id)
             start = end
         self._inner.send(bytes(signed), peer)
-
-    def filenos(self) -> list[int]:
-        """Return the descriptors to wait on."""
-        return self._inner.filenos()
-
-    def close(self) -> None:
-        """Close the endpoint."""
-        self._inner.close()
 
 
 def read_key(path: Path) -> tuple[bytes, str | None]:

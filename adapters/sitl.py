@@ -27,7 +27,7 @@ from typing import Any, ClassVar
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.endpoint import Endpoint, Peer, open_endpoint
+from adapters.endpoint import Endpoint, Peer, WrappedEndpoint, open_endpoint
 from adapters.fleet_vehicle import FleetVehicle
 from adapters.ground_station import Station, Steps
 from adapters.mission_protocol import OWN_COMPONENT, OWN_SYSID
@@ -165,23 +165,18 @@ class SitlClock:
         return min(max(min(fresh, default=usual), _RATE_LEAST * usual), 2.0 * self._speedup)
 
 
-class _TappedEndpoint:
+class _TappedEndpoint(WrappedEndpoint):
     """A link to simulators, overheard: their time goes to the clock, and they are told of the ground they ask for."""
 
     def __init__(
         self, inner: Endpoint, clock: SitlClock, homes_m: Mapping[int, float], ground: Ground | None, frame: LocalFrame
     ) -> None:
-        self._inner = inner
+        super().__init__(inner)
         self._clock = clock
         self._homes_amsl_m = homes_m  # by sysid
         self._ground = ground
         self._frame = frame
         self._codec = mavlink.MAVLink(None, srcSystem=OWN_SYSID, srcComponent=OWN_COMPONENT)
-
-    @property
-    def url(self) -> str:
-        """Where it listens or is connected to."""
-        return self._inner.url
 
     def receive(self) -> list[tuple[bytes, Peer]]:
         """Return what has arrived, and answer what concerns the simulation."""
@@ -192,18 +187,6 @@ class _TappedEndpoint:
                 with contextlib.suppress(mavlink.MAVError):  # cut, or no frame at all
                     self._overhear(self._codec.decode(bytearray(frame)), peer)
         return arrived
-
-    def send(self, data: bytes, peer: Peer | None = None) -> None:
-        """Send to one vehicle, or to all that are known."""
-        self._inner.send(data, peer)
-
-    def filenos(self) -> list[int]:
-        """Return the descriptors to wait on."""
-        return self._inner.filenos()
-
-    def close(self) -> None:
-        """Close the link."""
-        self._inner.close()
 
     def _overhear(self, message: Any, peer: Peer) -> None:
         home_amsl_m = self._homes_amsl_m.get(message.get_srcSystem())

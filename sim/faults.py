@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from adapters.endpoint import Endpoint, Peer
+from adapters.endpoint import Endpoint, Peer, WrappedEndpoint
 from missionplanner.errors import MissionError
 
 REORDER_S = 0.3
@@ -65,7 +65,7 @@ def bad_links(faults: Faults, now_s: Callable[[], float], seed: int) -> Callable
     return lambda endpoint: FaultyEndpoint(endpoint, faults, now_s, rng.spawn(1)[0])
 
 
-class FaultyEndpoint:
+class FaultyEndpoint(WrappedEndpoint):
     """An endpoint behind a bad link, for either side of it; whoever owns it must call :meth:`receive` ever so often.
 
     Parameters
@@ -76,17 +76,12 @@ class FaultyEndpoint:
     """
 
     def __init__(self, inner: Endpoint, faults: Faults, now_s: Callable[[], float], rng: np.random.Generator) -> None:
-        self._inner = inner
+        super().__init__(inner)
         self._now_s = now_s
         there, back = rng.spawn(2)
         self._out = _Way(faults, there)
         self._in = _Way(faults, back)
         self._cut: dict[Peer, bytes] = {}
-
-    @property
-    def url(self) -> str:
-        """Where the wrapped endpoint listens or connects to."""
-        return self._inner.url
 
     def receive(self) -> list[tuple[bytes, Peer]]:
         """Return the frames that have come through by now; send on those of the other way."""
@@ -109,14 +104,6 @@ class FaultyEndpoint:
         for frame in (*frames, rest) if rest else frames:
             self._out.take(frame, peer, now_s)
         self._send_on(now_s)
-
-    def filenos(self) -> list[int]:
-        """Return the wrapped endpoint's descriptors; frames that are late make none of them ready."""
-        return self._inner.filenos()
-
-    def close(self) -> None:
-        """Close the wrapped endpoint; what is still under way is lost."""
-        self._inner.close()
 
     def _send_on(self, now_s: float) -> None:
         for frame, peer in self._out.due(now_s):

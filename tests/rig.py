@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.endpoint import Endpoint, InProcessEndpoint, Peer, in_process_pair
+from adapters.endpoint import Endpoint, InProcessEndpoint, Peer, WrappedEndpoint, in_process_pair
 from adapters.fleet_link import FleetLink
 from adapters.telemetry_log import FleetLog
 from missionplanner.plan import FleetPlan
@@ -22,18 +22,14 @@ def untouched(message: Any) -> Any:
     return message
 
 
-class MeddledEndpoint:
+class MeddledEndpoint(WrappedEndpoint):
     """The ground's end of a pipe on which messages are changed, lost or delayed."""
 
     def __init__(self, inner: InProcessEndpoint, down: Edit = untouched, up: Edit = untouched) -> None:
+        super().__init__(inner)
         self.down = down  # from the vehicle
         self.up = up  # to the vehicle
-        self._inner = inner
         self._parsers = [mavlink.MAVLink(None), mavlink.MAVLink(None)]
-
-    @property
-    def url(self) -> str:
-        return self._inner.url
 
     def receive(self) -> list[tuple[bytes, Peer]]:
         return [(frame, peer) for data, peer in self._inner.receive() if (frame := self._edited(data, 0, self.down))]
@@ -41,12 +37,6 @@ class MeddledEndpoint:
     def send(self, data: bytes, peer: Peer | None = None) -> None:
         if frame := self._edited(data, 1, self.up):
             self._inner.send(frame, peer)
-
-    def filenos(self) -> list[int]:
-        return []
-
-    def close(self) -> None:
-        self._inner.close()
 
     def _edited(self, data: bytes, way: int, edit: Edit) -> bytes:
         frames = b""

@@ -22,7 +22,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.endpoint import Address, Endpoint, Peer, UdpEndpoint, open_endpoint
+from adapters.endpoint import Address, Endpoint, Peer, UdpEndpoint, WrappedEndpoint, open_endpoint
 from missionplanner.autopilot_parameters import Kind, fields, find, with_values
 from missionplanner.geodesy import GeoPoint, LocalFrame
 from missionplanner.mission import VehicleSettings
@@ -236,32 +236,19 @@ def _fly(kind: Kind, sysid: int, home: GeoPoint, parameters: Mapping[str, Any], 
     serve(fleet, speedup, crashes)
 
 
-class _Asking:
+class _Asking(WrappedEndpoint):
     """A link on which the ground station is asked for the ground; what else arrives meanwhile is kept."""
 
     def __init__(self, inner: Endpoint, sysid: int, home: GeoPoint) -> None:
-        self._inner = inner
+        super().__init__(inner)
         self._codec = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=1)
         self._home = home
         self._frame = LocalFrame(home.lat_deg, home.lon_deg)
         self._arrived: list[tuple[bytes, Peer]] = []
 
-    @property
-    def url(self) -> str:
-        return self._inner.url
-
     def receive(self) -> list[tuple[bytes, Peer]]:
         arrived, self._arrived = self._arrived, []
         return arrived + self._inner.receive()
-
-    def send(self, data: bytes, peer: Peer | None = None) -> None:
-        self._inner.send(data, peer)
-
-    def filenos(self) -> list[int]:
-        return self._inner.filenos()
-
-    def close(self) -> None:
-        self._inner.close()
 
     def ground_amsl_m(self, x_m: float, y_m: float) -> float:
         """Return how high the ground is: as far above or below home as the terrain says."""
