@@ -16,7 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.certificates import Held, read_files, sortie, with_return_heights
 from adapters.fleet_vehicle import MODES
-from adapters.mission_items import TAKEOFF, WAYPOINT, MissionItem, plan_items
+from adapters.mission_items import CHANGE_SPEED, TAKEOFF, WAYPOINT, MissionItem, plan_items
 from adapters.plan_file import PlanFile, plan_text
 from adapters.telemetry_log import read_log
 from adapters.waypoints_file import waypoints_text
@@ -29,28 +29,35 @@ from missionplanner.resuming import way_to
 from missionplanner.scene import Scene
 from missionplanner.vehicle import Autopilot
 
-_JUMPS = (177, 600, 601)  # DO_JUMP, JUMP_TAG, DO_JUMP_TAG
-_ROI = (80, 195, 196, 197, 201)
-_ROI_NONE = 197
-_SPEED = 178
-_PER_NUMBER = (181, 183)  # DO_SET_RELAY, DO_SET_SERVO: the last of every relay and servo
+_JUMPS = (mavlink.MAV_CMD_DO_JUMP, mavlink.MAV_CMD_JUMP_TAG, mavlink.MAV_CMD_DO_JUMP_TAG)
+_ROI = (
+    mavlink.MAV_CMD_NAV_ROI,
+    mavlink.MAV_CMD_DO_SET_ROI_LOCATION,
+    mavlink.MAV_CMD_DO_SET_ROI_WPNEXT_OFFSET,
+    mavlink.MAV_CMD_DO_SET_ROI_NONE,
+    mavlink.MAV_CMD_DO_SET_ROI,
+)
+_PER_NUMBER = (mavlink.MAV_CMD_DO_SET_RELAY, mavlink.MAV_CMD_DO_SET_SERVO)  # the last of every relay and servo
+_VIDEO = (mavlink.MAV_CMD_VIDEO_START_CAPTURE, mavlink.MAV_CMD_VIDEO_STOP_CAPTURE)
+_ENDS = (mavlink.MAV_CMD_DO_SET_ROI_NONE, mavlink.MAV_CMD_IMAGE_STOP_CAPTURE, mavlink.MAV_CMD_VIDEO_STOP_CAPTURE)
+_TRIGGERS = (mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST, mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL)
 # what ends what was begun: the last of a group is in force
 _GROUPS: dict[int, str] = {
     **dict.fromkeys(_ROI, "region of interest"),
-    205: "mount",
-    1000: "gimbal",
-    1001: "gimbal's master",
-    204: "mount's mode",
-    206: "trigger distance",
-    214: "trigger interval",
-    2003: "trigger",
-    530: "camera mode",
-    531: "zoom",
-    532: "focus",
-    2000: "image capture",
-    2001: "image capture",
-    2500: "video",
-    2501: "video",
+    mavlink.MAV_CMD_DO_MOUNT_CONTROL: "mount",
+    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: "gimbal",
+    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_CONFIGURE: "gimbal's master",
+    mavlink.MAV_CMD_DO_MOUNT_CONFIGURE: "mount's mode",
+    mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST: "trigger distance",
+    mavlink.MAV_CMD_DO_SET_CAM_TRIGG_INTERVAL: "trigger interval",
+    mavlink.MAV_CMD_DO_TRIGGER_CONTROL: "trigger",
+    mavlink.MAV_CMD_SET_CAMERA_MODE: "camera mode",
+    mavlink.MAV_CMD_SET_CAMERA_ZOOM: "zoom",
+    mavlink.MAV_CMD_SET_CAMERA_FOCUS: "focus",
+    mavlink.MAV_CMD_IMAGE_START_CAPTURE: "image capture",
+    mavlink.MAV_CMD_IMAGE_STOP_CAPTURE: "image capture",
+    mavlink.MAV_CMD_VIDEO_START_CAPTURE: "video",
+    mavlink.MAV_CMD_VIDEO_STOP_CAPTURE: "video",
 }
 
 
@@ -99,13 +106,13 @@ def in_force(items: Sequence[MissionItem], at: int) -> tuple[MissionItem, ...]:
         if item.command in _JUMPS:
             raise MissionError(f"item {item.seq}: jumps, so what comes before item {at} is not known: write it out")
     for item in items[:at]:
-        if item.command == _SPEED:
+        if item.command == CHANGE_SPEED:
             kind = int(item.param1) if math.isfinite(item.param1) else 0
             key: tuple[object, ...] = ("speed", "level" if kind in (0, 1) else kind)
         elif item.command in _PER_NUMBER:
             key = (item.command, item.param1)
         elif item.command in _GROUPS:
-            key = (_GROUPS[item.command], item.param1 if item.command in (2500, 2501) else None)
+            key = (_GROUPS[item.command], item.param1 if item.command in _VIDEO else None)
         else:
             continue
         last.pop(key, None)
@@ -115,8 +122,8 @@ def in_force(items: Sequence[MissionItem], at: int) -> tuple[MissionItem, ...]:
 
 def _is_nothing(item: MissionItem) -> bool:
     """Return whether a vehicle that has just started is so already."""
-    off = item.command in (_ROI_NONE, 2001, 2501)
-    return off or (item.command in (206, 214) and item.param1 == 0.0)
+    off = item.command in _ENDS
+    return off or (item.command in _TRIGGERS and item.param1 == 0.0)
 
 
 def resume_file(
