@@ -262,19 +262,11 @@ class FleetVehicle(Peer):
 
     def check_identity(self) -> None:
         """Refuse a vehicle of another kind than planned, two behind one sysid, and any other than the mission's own."""
-        autopilot, vehicle_class = self.autopilot, self.vehicle_class
-        if (autopilot, vehicle_class) != (self.plan.autopilot, self.plan.vehicle_class):
-            raise self.error(
-                f"expected {self.plan.autopilot} {self.plan.vehicle_class}, got {autopilot} {vehicle_class}: "
-                "the wrong vehicle, or correct the mission file and plan again"
-            )
+        kind = (self.plan.autopilot, self.plan.vehicle_class)
+        self.expect_kind(kind, "the wrong vehicle, or correct the mission file and plan again")
         self.check_alone()
-        if self._uid is not None and self._uid not in self.unique_ids:
-            told = " or ".join(sorted(self.unique_ids)) or "none"
-            raise self.error(
-                f"expected the autopilot with uid {self._uid}, got {told}: the wrong vehicle, or correct the mission "
-                "file's uid"
-            )
+        if self._uid is not None:
+            self.expect_uid((self._uid,), "the wrong vehicle, or correct the mission file's uid")
 
     def lacks(self, now_s: float) -> tuple[str, ...]:
         """Return what is missing until it can be armed, nothing if it is ready; with its own words in the end."""

@@ -240,11 +240,21 @@ class Peer:
         LinkError
             It is refused, with what to do.
         """
-        if kind is not None and (self.autopilot, self.vehicle_class) != kind:
+        if kind is not None:
+            self.expect_kind(kind, remedy)
+        self.check_alone()
+        if uids:
+            self.expect_uid(uids, remedy)
+
+    def expect_kind(self, kind: tuple[str, str], remedy: str) -> None:
+        """Refuse a vehicle of another autopilot or class."""
+        if (self.autopilot, self.vehicle_class) != kind:
             expected, got = " ".join(kind), f"{self.autopilot} {self.vehicle_class}"
             raise self.error(f"expected {expected}, got {got}: {remedy}")
-        self.check_alone()
-        if uids and self.unique_ids.isdisjoint(uids):
+
+    def expect_uid(self, uids: Collection[str], remedy: str) -> None:
+        """Refuse an autopilot that has told none of these unique ids."""
+        if self.unique_ids.isdisjoint(uids):
             told = " or ".join(sorted(self.unique_ids)) or "none"
             raise self.error(f"expected the autopilot with uid {' or '.join(uids)}, got {told}: {remedy}")
 

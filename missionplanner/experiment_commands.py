@@ -6,6 +6,7 @@ Results, tables and figures go to a folder (default: out/experiment_NAME); ``res
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,9 +16,6 @@ from rich.progress import TaskID
 from missionplanner.errors import MissionError
 from missionplanner.experiments.campaign import claim, mark
 from missionplanner.terminal import Told, print_json, progress_bars, stdout
-
-Show = Callable[[str, float], None]
-"""Told what is being done, and the share of it that is done."""
 
 app = typer.Typer(
     help="Measure this software: results, tables and figures go to a folder (default: out/experiment_NAME).",
@@ -38,10 +36,11 @@ Cluster = Annotated[
 SAN_GABRIEL = Path("missions/san_gabriel.yaml")
 
 
-def run(
-    name: str, output: Path | None, as_json: bool, measure: Callable[[Path, Show], dict[str, Any]]
-) -> dict[str, Any]:
-    """Measure into the experiment's folder, with progress bars; print its figures, and return them."""
+def run(name: str, output: Path | None, as_json: bool, measure: Callable[..., dict[str, Any]]) -> dict[str, Any]:
+    """Measure into the experiment's folder, with progress bars; print its figures, and return them.
+
+    ``measure`` gets the folder, and as ``progress`` whom to tell what is being done, and the share that is done.
+    """
     folder = output or Path("out") / f"experiment_{name}"
     with progress_bars() as progress:
         bars: dict[str, TaskID] = {}
@@ -52,7 +51,7 @@ def run(
             progress.update(bars[what], completed=done)
 
         claim(folder, name)
-        figures = measure(folder, show)
+        figures = measure(folder, progress=show)
         mark(folder, name)
     if as_json:
         print_json(figures)
@@ -84,10 +83,7 @@ def proof(
     """Measure soundness, tightness and speed of proofs."""
     from missionplanner.experiments import proof as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(folder, mission=mission, seed=seed, quick=quick, samples=samples, progress=show)
-
-    run("proof", output, as_json, measure)
+    run("proof", output, as_json, partial(experiment.main, mission=mission, seed=seed, quick=quick, samples=samples))
 
 
 @app.command()
@@ -106,12 +102,11 @@ def fidelity(
 
     if flights is None:
         raise MissionError("--flights: expected a folder of recorded flights (docs/FIDELITY.md)")
-    recorded = flights
     figures = run(
         "fidelity",
         output,
         as_json,
-        lambda folder, show: experiment.main(folder, flights=recorded, update=update, progress=show),
+        partial(experiment.main, flights=flights, update=update),
     )
     for flight in figures["unreadable"]:
         typer.echo(f"missionplanner: {flight['error']}", err=True)
@@ -133,19 +128,14 @@ def arrival(
     """Fly for common arrival in simulation, disturbed in several ways."""
     from missionplanner.experiments import arrival as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder,
-            mission=mission,
-            seed=seed,
-            seeds=seeds,
-            quick=quick,
-            workers=workers,
-            cluster=cluster,
-            progress=show,
-        )
-
-    run("arrival", output, as_json, measure)
+    run(
+        "arrival",
+        output,
+        as_json,
+        partial(
+            experiment.main, mission=mission, seed=seed, seeds=seeds, quick=quick, workers=workers, cluster=cluster
+        ),
+    )
 
 
 @app.command()
@@ -153,7 +143,7 @@ def scale(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json: 
     """Measure what the number of vehicles costs."""
     from missionplanner.experiments import scale as experiment
 
-    run("scale", output, as_json, lambda folder, show: experiment.main(folder, seed=seed, quick=quick, progress=show))
+    run("scale", output, as_json, partial(experiment.main, seed=seed, quick=quick))
 
 
 @app.command()
@@ -170,19 +160,12 @@ def links(
     """Measure uploads over bad links (beside MAVSDK's where that is installed), loads, and mutated frames."""
     from missionplanner.experiments import links as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder,
-            runs=runs,
-            frames=frames,
-            seed=seed,
-            quick=quick,
-            workers=workers,
-            cluster=cluster,
-            progress=show,
-        )
-
-    run("links", output, as_json, measure)
+    run(
+        "links",
+        output,
+        as_json,
+        partial(experiment.main, runs=runs, frames=frames, seed=seed, quick=quick, workers=workers, cluster=cluster),
+    )
 
 
 @app.command()
@@ -199,19 +182,20 @@ def table2(
     """Run every algorithm on the paper's test functions (its Table II), with ranks and tests."""
     from missionplanner.experiments import table2 as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder,
+    run(
+        "table2",
+        output,
+        as_json,
+        partial(
+            experiment.main,
             runs=runs,
             evaluations=evaluations,
             peers=peers,
             quick=quick,
             workers=workers,
             cluster=cluster,
-            progress=show,
-        )
-
-    run("table2", output, as_json, measure)
+        ),
+    )
 
 
 @app.command()
@@ -229,18 +213,14 @@ def ablation(
     """Measure what each part of PSO-ABC-SA's best form is worth: one after the other is left out."""
     from missionplanner.experiments import ablation as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder,
-            runs=runs,
-            evaluations=evaluations,
-            instances=instances,
-            workers=workers,
-            cluster=cluster,
-            progress=show,
-        )
-
-    run("ablation", output, as_json, measure)
+    run(
+        "ablation",
+        output,
+        as_json,
+        partial(
+            experiment.main, runs=runs, evaluations=evaluations, instances=instances, workers=workers, cluster=cluster
+        ),
+    )
 
 
 @app.command("scenes-2d")
@@ -255,10 +235,9 @@ def scenes_2d(
     """Search paths on the paper's kind of 2D grids, sparse and dense (its figures 2-4)."""
     from missionplanner.experiments import scenes_2d as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(folder, runs=runs, quick=quick, workers=workers, cluster=cluster, progress=show)
-
-    run("scenes-2d", output, as_json, measure)
+    run(
+        "scenes-2d", output, as_json, partial(experiment.main, runs=runs, quick=quick, workers=workers, cluster=cluster)
+    )
 
 
 @app.command()
@@ -274,12 +253,12 @@ def mountain(
     """Search and plan the paper's mountain scene with five vehicles (its Table IV, figures 7, 12-14)."""
     from missionplanner.experiments import mountain as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder, mission=mission, runs=runs, quick=quick, workers=workers, cluster=cluster, progress=show
-        )
-
-    run("mountain", output, as_json, measure)
+    run(
+        "mountain",
+        output,
+        as_json,
+        partial(experiment.main, mission=mission, runs=runs, quick=quick, workers=workers, cluster=cluster),
+    )
 
 
 @app.command("multi-domain")
@@ -295,12 +274,12 @@ def multi_domain(
     """Search and plan the paper's scene of land, sea and air (its figures 8-11)."""
     from missionplanner.experiments import multi_domain as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder, mission=mission, runs=runs, quick=quick, workers=workers, cluster=cluster, progress=show
-        )
-
-    run("multi-domain", output, as_json, measure)
+    run(
+        "multi-domain",
+        output,
+        as_json,
+        partial(experiment.main, mission=mission, runs=runs, quick=quick, workers=workers, cluster=cluster),
+    )
 
 
 @app.command()
@@ -345,9 +324,12 @@ def peers(
     """Search beside mealpy, pygmo, cma, minionpy, scipy and pyswarms; those not installed are left out."""
     from missionplanner.experiments import peers as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder,
+    run(
+        "peers",
+        output,
+        as_json,
+        partial(
+            experiment.main,
             instances=instances,
             scenes=[Path("missions/mountain.yaml")] if scene is None else scene,
             budgets=whole_numbers(evaluations),
@@ -357,10 +339,8 @@ def peers(
             quick=quick,
             workers=workers,
             cluster=cluster,
-            progress=show,
-        )
-
-    run("peers", output, as_json, measure)
+        ),
+    )
 
 
 @app.command()
@@ -368,7 +348,7 @@ def table3(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json:
     """Measure what the algorithms themselves cost (the paper's Table III, the method of CEC 2005)."""
     from missionplanner.experiments import table3 as experiment
 
-    run("table3", output, as_json, lambda folder, show: experiment.main(folder, seed=seed, quick=quick, progress=show))
+    run("table3", output, as_json, partial(experiment.main, seed=seed, quick=quick))
 
 
 @app.command()
@@ -387,19 +367,20 @@ def lengths(
     """Hold the shortest path where all constraints are hard beside OMPL's planners."""
     from missionplanner.experiments import lengths as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder,
+    run(
+        "lengths",
+        output,
+        as_json,
+        partial(
+            experiment.main,
             mission=mission,
             instances=instances,
             seeds=seeds,
             quick=quick,
             workers=workers,
             cluster=cluster,
-            progress=show,
-        )
-
-    run("lengths", output, as_json, measure)
+        ),
+    )
 
 
 @app.command()
@@ -425,19 +406,20 @@ def uav(
     searched = instances
     budgets = whole_numbers(evaluations)
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder,
+    run(
+        "uav",
+        output,
+        as_json,
+        partial(
+            experiment.main,
             instances=searched,
             seeds=seeds,
             evaluations=budgets,
             best=best,
             workers=workers,
             cluster=cluster,
-            progress=show,
-        )
-
-    run("uav", output, as_json, measure)
+        ),
+    )
 
 
 @app.command()
@@ -459,18 +441,19 @@ def kernel(
     """Measure how fast costs are computed, and how far that is from the machine's pace."""
     from missionplanner.experiments import kernel as experiment
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder,
+    run(
+        "kernel",
+        output,
+        as_json,
+        partial(
+            experiment.main,
             instances=instances,
             yardstick=yardstick,
             missions=mission or [SAN_GABRIEL.with_name("mountain.yaml"), SAN_GABRIEL],
             seed=seed,
             quick=quick,
-            progress=show,
-        )
-
-    run("kernel", output, as_json, measure)
+        ),
+    )
 
 
 @app.command()
@@ -478,7 +461,7 @@ def growth(output: Output = None, seed: Seed = 1, quick: Quick = False, as_json:
     """Measure how planning grows with vehicles, obstacles and terrain."""
     from missionplanner.experiments import growth as experiment
 
-    run("growth", output, as_json, lambda folder, show: experiment.main(folder, seed=seed, quick=quick, progress=show))
+    run("growth", output, as_json, partial(experiment.main, seed=seed, quick=quick))
 
 
 @app.command()
@@ -499,16 +482,11 @@ def weights(
 
     chosen = missions or [Path("missions") / f"{name}.yaml" for name in experiment.EXAMPLES]
 
-    def measure(folder: Path, show: Show) -> dict[str, Any]:
-        return experiment.main(
-            folder,
-            missions=chosen,
-            seed=seed,
-            seeds=seeds,
-            quick=quick,
-            workers=workers,
-            cluster=cluster,
-            progress=show,
-        )
-
-    run("weights", output, as_json, measure)
+    run(
+        "weights",
+        output,
+        as_json,
+        partial(
+            experiment.main, missions=chosen, seed=seed, seeds=seeds, quick=quick, workers=workers, cluster=cluster
+        ),
+    )

@@ -639,7 +639,7 @@ class Pacer:
         tracked.overdue_s = None
         tracked.factor = trim.factor
         tracked.fastest = max(tracked.fastest, trim.factor)
-        tracked.factor_leg = 0 if tracked.place is None else min(tracked.place.leg, len(tracked.course.speed_m_s))
+        tracked.factor_leg = _leg_from(tracked)
         tracked.lost = False
         tracked.failures = 0
         tracked.due_s = t_s + self.rules.interval_s
@@ -670,7 +670,7 @@ class Pacer:
         """Take note that a vehicle was told its planned speed, after it had left its mission and come back."""
         tracked = self._tracked[vehicle]
         tracked.factor, tracked.lost, tracked.before = 1.0, False, None
-        tracked.factor_leg = 0 if tracked.place is None else min(tracked.place.leg, len(tracked.course.speed_m_s))
+        tracked.factor_leg = _leg_from(tracked)
 
     def ground(self, vehicle: int) -> None:
         """Take note that a vehicle will not start any more: nobody waits for it, but it stands in the way."""
@@ -1053,10 +1053,8 @@ class Pacer:
             tracked = self._tracked[k]
             if tracked.stopped_s is None or pace.state != "paused" or pace.at_s is None:
                 continue
-            first_s = min(
-                tracked.stopped_s, tracked.due_s
-            )  # the wait may turn out shorter, not the time to be asked again
-            if pace.at_s < (first_s if tracked.overdue_s is None else tracked.due_s):
+            asked = tracked.overdue_s is not None  # already: then again after the interval, not before
+            if pace.at_s < (tracked.due_s if asked else min(tracked.due_s, tracked.stopped_s)):
                 continue
             wait_s = 0.0 if delays is None else self._wait_s(tracked, pace, delays[k])
             tracked.stopped_s = pace.at_s + wait_s
@@ -1279,6 +1277,11 @@ def _too_early(pace: Pace, delay_s: float) -> str:
     if pace.state != "flying" or pace.latest_s is None or pace.latest_s > pace.planned_s + delay_s - _TOLD_S:
         return ""
     return f"{pace.name} is too early even at its least speed: others need longer"
+
+
+def _leg_from(tracked: _Tracked) -> int:
+    """Return the leg from which a speed counts that is commanded now; 0: before any."""
+    return 0 if tracked.place is None else min(tracked.place.leg, len(tracked.course.speed_m_s))
 
 
 def _target_s(pace: Pace, delay_s: float) -> float:

@@ -356,6 +356,36 @@ def recorded(autopilot: Autopilot) -> tuple[list[Message], list[Message]]:
     return pipe.went, pipe.came
 
 
+@dataclass(slots=True)
+class _Run:
+    """A run of so many frames, and what has come of it so far."""
+
+    frames: int
+    result: Fuzzed = field(default_factory=Fuzzed)
+    tracer: _Tracer = field(default_factory=_Tracer)
+    settled_mb: float = 0.0  # after a fifth of the frames
+
+    @property
+    def next_batch(self) -> int:
+        """How many frames go together: one, while a tracer tells which reach new lines."""
+        return 1 if self.result.frames < int(_GUIDED_SHARE * self.frames) else _BATCH
+
+    def count(self, frames: int, heard: int, *, compared: bool) -> None:
+        """Count a batch that did no harm."""
+        result = self.result
+        result.frames += frames
+        result.heard += heard
+        result.batches += compared
+        if self.settled_mb == 0.0 and result.frames > self.frames // 5:
+            self.settled_mb = _memory_mb()
+
+    def ended(self, mutator: Mutator) -> dict[str, Any]:
+        """Return the result as plain JSON values."""
+        self.result.memory_mb = _memory_mb() - self.settled_mb if self.settled_mb else 0.0
+        self.result.corpus, self.result.lines = mutator.found, len(self.tracer.reached)
+        return self.result.as_json()
+
+
 # --- to the vehicles --------------------------------------------------------------------------------------------------
 
 
@@ -373,11 +403,10 @@ def vehicles(frames: int, seed: int) -> dict[str, Any]:
     traffic = [m for autopilot in ("ardupilot", "px4") for m in recorded(autopilot)[0]]
     mutator = Mutator(traffic, rng, sysids)
     parsers = [_parser() for _ in pipes]
-    result, tracer = Fuzzed(), _Tracer()
-    guided = int(_GUIDED_SHARE * frames)
-    settled_mb = 0.0
+    run = _Run(frames)
+    result, tracer = run.result, run.tracer
     while result.frames < frames:
-        size = 1 if result.frames < guided else _BATCH
+        size = run.next_batch
         target = int((*sysids, *sysids, 0, 77)[rng.integers(2 * len(sysids) + 2)])
         k = int(rng.integers(len(pipes)))
         addressed = rng.random() < 0.75
@@ -402,14 +431,8 @@ def vehicles(frames: int, seed: int) -> dict[str, Any]:
         fleet.step()
         for pipe in pipes:
             pipe.receive()
-        result.frames += size
-        result.heard += len(heard)
-        result.batches += bool(others)
-        if settled_mb == 0.0 and result.frames > frames // 5:
-            settled_mb = _memory_mb()
-    result.memory_mb = _memory_mb() - settled_mb if settled_mb else 0.0
-    result.corpus, result.lines = mutator.found, len(tracer.reached)
-    return result.as_json()
+        run.count(size, len(heard), compared=bool(others))
+    return run.ended(mutator)
 
 
 def _mixed(kinds: Iterable[tuple[Autopilot, Any]]) -> list[SimVehicle]:
@@ -463,13 +486,12 @@ def ground_station(frames: int, seed: int) -> dict[str, Any]:
     station = Station(peers, [near for near, _ in pipes.values()], clock, None)
     traffic = [m for autopilot in sysids.values() for m in recorded(autopilot)[1]]
     mutator = Mutator(traffic, rng, list(sysids))
-    result, tracer = Fuzzed(), _Tracer()
+    run = _Run(frames)
+    result, tracer = run.result, run.tracer
     plans = {sysid: fleet_plan(1, _ITEMS, autopilot, 1) for sysid, autopilot in sysids.items()}
     items = {sysid: plan_items(plan.vehicles[0], plan.frame) for sysid, plan in plans.items()}
-    guided = int(_GUIDED_SHARE * frames)
-    settled_mb = 0.0
     while result.frames < frames:
-        size = 1 if result.frames < guided else _BATCH
+        size = run.next_batch
         speaker = int(rng.integers(1, 3))
         for sysid, peer in peers.items():
             result.refusals += _kept_busy(station, peer, sysids[sysid], items[sysid])
@@ -509,14 +531,8 @@ def ground_station(frames: int, seed: int) -> dict[str, Any]:
         for _, far in pipes.values():
             far.receive()
         clock.time_s += 0.05
-        result.frames += size
-        result.heard += len(heard)
-        result.batches += bool(others)
-        if settled_mb == 0.0 and result.frames > frames // 5:
-            settled_mb = _memory_mb()
-    result.memory_mb = _memory_mb() - settled_mb if settled_mb else 0.0
-    result.corpus, result.lines = mutator.found, len(tracer.reached)
-    return result.as_json()
+        run.count(size, len(heard), compared=bool(others))
+    return run.ended(mutator)
 
 
 class _Hand:

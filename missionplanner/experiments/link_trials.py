@@ -191,6 +191,7 @@ def mavsdk_version() -> str | None:
 
 def clients(client: Client, autopilot: Autopilot, link: str, items: int, vehicles: int, seed: int) -> dict[str, Any]:
     """Upload to vehicles in real time over UDP, all at once, each by a client of its own over a link of its own."""
+    _uploaded(autopilot, Faults(), items, seed)  # what is compiled first holds up all threads
     plan = fleet_plan(vehicles, items, autopilot, seed)
     fleet = SimFleet(planned_vehicles(plan), frame=plan.frame, seed=seed)
     through = bad_links(links()[link], lambda: fleet.now_s, seed)
