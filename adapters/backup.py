@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.endpoint import Endpoint
-from adapters.ground_station import Clock, Peer, Station, Steps, TransferProgress, Waiting
+from adapters.ground_station import Clock, Peer, Station, Steps, TransferProgress, Waiting, telling
 from adapters.guards import read_areas
 from adapters.mission_items import FRAME_MISSION, MissionItem, items_sha256, wire_to_degrees
 from adapters.mission_protocol import Party, what_is_sent
@@ -64,12 +64,7 @@ class Saved:
 def saving(station: Station[Any], peer: Peer, progress: TransferProgress | None) -> Waiting[Saved]:
     """Read all that a vehicle holds; it must have been asked who it is."""
     autopilot, vehicle_class = peer.known_kind()
-
-    def tell(done: int, total: int | None) -> None:
-        if progress is not None and total is not None:
-            progress(peer.party.vehicle, done, total)
-
-    mission = yield from station.downloading(peer, tell)
+    mission = yield from station.downloading(peer, telling(progress, peer.party.vehicle))
     fence = yield from station.downloading(peer, mission_type=mavlink.MAV_MISSION_TYPE_FENCE)
     rally = yield from station.downloading(peer, mission_type=mavlink.MAV_MISSION_TYPE_RALLY)
     ids = tuple(sorted(peer.unique_ids))
@@ -208,10 +203,7 @@ def _restoring(
     progress: TransferProgress | None,
     sent: dict[int, tuple[str, ...]],
 ) -> Steps:
-    def tell(done: int, total: int) -> None:
-        if progress is not None:
-            progress(saved.name, done, total)
-
+    tell = telling(progress, saved.name)
     changed = []
     for kind in _KINDS:
         wanted = saved.of(kind)

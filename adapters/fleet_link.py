@@ -17,7 +17,7 @@ from adapters.backup import Saved, saving
 from adapters.endpoint import Endpoint
 from adapters.fleet_flight import FlightControl, ReadyProgress, WatchProgress
 from adapters.fleet_vehicle import FleetVehicle, Order, VehicleStatus
-from adapters.ground_station import Clock, Steps, TransferProgress, WallClock
+from adapters.ground_station import Clock, Steps, TransferProgress, WallClock, telling
 from adapters.guards import Guard, breach, fence_limits, limit_breach
 from adapters.listener import Listener, Stranger
 from adapters.mavsdk_link import Mavsdk
@@ -211,21 +211,22 @@ class FleetLink(FlightControl):
         found[vehicle.plan.sysid] = yield from saving(self._station, vehicle, progress)
 
     def _uploading(self, vehicle: FleetVehicle, progress: TransferProgress | None) -> Steps:
-        def tell(done: int, total: int) -> None:
-            _tell(progress, vehicle, done, total)
-
+        tell = telling(progress, vehicle.plan.name)
         return self._station.uploading(vehicle, vehicle.plan.autopilot, vehicle.items, tell)
 
     def _uploading_by(self, sdk: Mavsdk, vehicle: FleetVehicle, progress: TransferProgress | None) -> Steps:
-        _tell(progress, vehicle, 0, len(vehicle.items))
+        tell = telling(progress, vehicle.plan.name)
+        tell(0, len(vehicle.items))
         yield from sdk.uploading(vehicle, vehicle.items)
-        _tell(progress, vehicle, len(vehicle.items), len(vehicle.items))
+        tell(len(vehicle.items), len(vehicle.items))
 
     def _verifying(self, vehicle: FleetVehicle, progress: TransferProgress | None) -> Steps:
-        def tell(done: int, _total: int | None) -> None:
-            _tell(progress, vehicle, done, len(vehicle.items))
+        tell, items = telling(progress, vehicle.plan.name), vehicle.items
 
-        vehicle.held = yield from self._station.reading_back(vehicle, vehicle.plan.autopilot, vehicle.items, tell)
+        def read(done: int, _total: int | None) -> None:
+            tell(done, len(items))
+
+        vehicle.held = yield from self._station.reading_back(vehicle, vehicle.plan.autopilot, items, read)
 
     def _guarding(self, vehicle: FleetVehicle, progress: TransferProgress | None, replaced: list[str]) -> Steps:
         name, autopilot = vehicle.plan.name, vehicle.plan.autopilot
@@ -248,10 +249,7 @@ class FleetLink(FlightControl):
                 if held:
                     replaced.append(f"{name}: its {what} of {len(held)} items was replaced")
 
-                def tell(done: int, total: int) -> None:
-                    _tell(progress, vehicle, done, total)
-
-                yield from self._station.uploading(vehicle, autopilot, wanted, tell, kind)
+                yield from self._station.uploading(vehicle, autopilot, wanted, telling(progress, name), kind)
                 yield from self._station.reading_back(vehicle, autopilot, wanted, mission_type=kind)
         read = yield from self._station.reading_many(vehicle, autopilot, fence_limits(autopilot))
         values = {parameter.name: parameter.value for parameter in read if parameter is not None}
@@ -273,7 +271,7 @@ class FleetLink(FlightControl):
         values: list[tuple[Setting, float]] = []
         witness: str | None = None
         for done, setting in enumerate(settings):
-            _tell(progress, vehicle, done, len(settings))
+            telling(progress, vehicle.plan.name)(done, len(settings))
             held = yield from self._station.reading(vehicle, vehicle.plan.autopilot, setting, witness)
             if held is None:
                 continue
@@ -294,7 +292,7 @@ class FleetLink(FlightControl):
             assert held is not None
             if held.value != wanted:
                 raise mismatch(vehicle.party, held.name, wanted, held.value)
-        _tell(progress, vehicle, len(settings), len(settings))
+        telling(progress, vehicle.plan.name)(len(settings), len(settings))
 
 
 @dataclass(frozen=True, slots=True)
@@ -347,12 +345,7 @@ def _finding(
 ) -> Steps:
     autopilot, vehicle_class = peer.known_kind()
     parameters = yield from reading_motion(station, peer, autopilot, vehicle_class)
-
-    def tell(done: int, total: int | None) -> None:
-        if progress is not None and total is not None:
-            progress(peer.party.vehicle, done, total)
-
-    items = yield from station.downloading(peer, tell)
+    items = yield from station.downloading(peer, telling(progress, peer.party.vehicle))
     rally = yield from station.downloading(peer, mission_type=mavlink.MAV_MISSION_TYPE_RALLY)
     fence = yield from station.downloading(peer, mission_type=mavlink.MAV_MISSION_TYPE_FENCE)
     notes = (f"it holds a fence of {len(fence)} items, not checked: it may end the mission",) if fence else ()
@@ -374,8 +367,3 @@ def _finding(
     found[peer.party.sysid] = Downloaded(
         peer.party.sysid, autopilot, vehicle_class, items, peer.home, height_m, tuple(remarks), parameters, notes
     )
-
-
-def _tell(progress: TransferProgress | None, vehicle: FleetVehicle, done: int, total: int) -> None:
-    if progress is not None:
-        progress(vehicle.plan.name, done, total)

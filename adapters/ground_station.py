@@ -34,6 +34,16 @@ TransferProgress = Callable[[str, int, int], None]
 """Called with a vehicle's name, its items transferred and the count of them."""
 
 
+def telling(progress: TransferProgress | None, vehicle: str) -> Callable[[int, int | None], None]:
+    """Return what tells of one vehicle's transfer, once the count of items is known."""
+
+    def tell(done: int, total: int | None) -> None:
+        if progress is not None and total is not None:
+            progress(vehicle, done, total)
+
+    return tell
+
+
 class Clock(Protocol):
     """The time by which a fleet is flown: the wall's, or a simulator's that only runs while somebody waits."""
 

@@ -606,6 +606,14 @@ class Mismatch:
 _FRAME_NAMES = {5: 0, 6: 3, 11: 10}
 _PARAMS = ("param1", "param2", "param3", "param4")
 _PLACE = ("x", "y", "z")
+_GUARDS: dict[int, tuple[str, ...]] = {
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: ("param1", "x", "y"),
+    mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: ("param1", "x", "y"),
+    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: ("param1", "x", "y"),
+    mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: ("param1", "x", "y"),
+    mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT: ("x", "y"),
+    mavlink.MAV_CMD_NAV_RALLY_POINT: _PLACE,
+}
 
 # What each firmware keeps of a command, as measured or as its source has it (ArduPilot: AP_Mission.cpp; PX4:
 # mavlink_mission.cpp); the rest is dropped or rewritten. ArduCopter drops p2 to p4 of a waypoint and sets p4 of LAND,
@@ -621,12 +629,7 @@ _KEPT: dict[Autopilot, dict[int, tuple[str, ...]]] = {
         TAKEOFF: ("param1", *_PLACE),
         mavlink.MAV_CMD_NAV_LOITER_TO_ALT: ("param2", *_PLACE),
         mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT: ("param1", *_PLACE),
-        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: ("param1", "x", "y"),
-        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: ("param1", "x", "y"),
-        mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: ("param1", "x", "y"),
-        mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: ("param1", "x", "y"),
-        mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT: ("x", "y"),
-        mavlink.MAV_CMD_NAV_RALLY_POINT: _PLACE,
+        **_GUARDS,
         mavlink.MAV_CMD_CONDITION_DELAY: ("param1",),
         mavlink.MAV_CMD_CONDITION_DISTANCE: ("param1",),
         mavlink.MAV_CMD_DO_SET_MODE: ("param1",),
@@ -648,12 +651,7 @@ _KEPT: dict[Autopilot, dict[int, tuple[str, ...]]] = {
         LAND: ("param2", "param4", *_PLACE),
         TAKEOFF: ("param4", *_PLACE),
         mavlink.MAV_CMD_NAV_LOITER_TO_ALT: ("param1", "param2", *_PLACE),
-        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION: ("param1", "x", "y"),
-        mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION: ("param1", "x", "y"),
-        mavlink.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION: ("param1", "x", "y"),
-        mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION: ("param1", "x", "y"),
-        mavlink.MAV_CMD_NAV_FENCE_RETURN_POINT: ("x", "y"),
-        mavlink.MAV_CMD_NAV_RALLY_POINT: _PLACE,
+        **_GUARDS,
         mavlink.MAV_CMD_DO_JUMP: ("param1", "param2"),
         CHANGE_SPEED: ("param1", "param2", "param3"),
     },

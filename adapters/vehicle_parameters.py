@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from adapters.endpoint import Endpoint
-from adapters.ground_station import AnyPeer, Clock, Station, Steps, TransferProgress, Waiting
+from adapters.ground_station import AnyPeer, Clock, Station, Steps, TransferProgress, Waiting, telling
 from adapters.listener import Listener, Stranger
 from adapters.parameter_protocol import ParameterValue
 from adapters.telemetry_log import FleetLog
@@ -161,12 +161,7 @@ def read_parameters(
     def reading(peer: Stranger) -> Steps:
         autopilot, vehicle_class = peer.known_kind()
         if everything:
-
-            def tell(done: int, total: int) -> None:
-                if progress is not None:
-                    progress(peer.party.vehicle, done, total)
-
-            values = yield from station.listing(peer, autopilot, tell)
+            values = yield from station.listing(peer, autopilot, telling(progress, peer.party.vehicle))
         else:
             values = yield from reading_motion(station, peer, autopilot, vehicle_class)
         uid = max(peer.unique_ids, key=len, default="")
