@@ -91,3 +91,39 @@ class Rig:
     def armed(self) -> list[bool]:
         """Return which vehicles are armed, by their own word."""
         return [link.autopilot.armed for link in self.sim.links]
+
+
+class Merged:
+    """Two pipes as one address, as a router or two radios on one channel make them."""
+
+    def __init__(self, *ends: Any) -> None:
+        self._ends = ends
+
+    @property
+    def url(self) -> str:
+        return "router"
+
+    def receive(self) -> list[tuple[bytes, Peer]]:
+        return [(data, "router") for end in self._ends for data, _ in end.receive()]
+
+    def send(self, data: bytes, peer: Peer | None = None) -> None:
+        for end in self._ends:
+            end.send(data)
+
+    def filenos(self) -> list[int]:
+        return []
+
+    def close(self) -> None:
+        pass
+
+
+def together(clock: LockstepClock, leader: SimFleet, other: SimFleet) -> None:
+    """Let another fleet live by the same clock as its own."""
+    wait = clock.wait
+
+    def both(seconds: float) -> None:
+        before_s = leader.now_s
+        wait(seconds)
+        other.advance(leader.now_s - before_s)
+
+    clock.wait = both  # type: ignore[method-assign]

@@ -28,7 +28,7 @@ from missionplanner.vehicle import Autopilot
 from sim.faults import Faults, FaultyEndpoint
 from sim.fleet import LockstepClock, SimFleet, planned_vehicles
 from tests.plans import FRAME, small_fleet
-from tests.rig import MeddledEndpoint, Rig
+from tests.rig import MeddledEndpoint, Merged, Rig, together
 
 FENCE, RALLY = mavlink.MAV_MISSION_TYPE_FENCE, mavlink.MAV_MISSION_TYPE_RALLY
 
@@ -78,30 +78,6 @@ def test_an_autopilot_that_does_not_tell_who_it_is_is_not_the_bound_one() -> Non
         rig.link.connect()
 
 
-class Merged:
-    """Two pipes as one address, as a router or two radios on one channel make them."""
-
-    def __init__(self, *ends: Any) -> None:
-        self._ends = ends
-
-    @property
-    def url(self) -> str:
-        return "router"
-
-    def receive(self) -> list[tuple[bytes, Peer]]:
-        return [(data, "router") for end in self._ends for data, _ in end.receive()]
-
-    def send(self, data: bytes, peer: Peer | None = None) -> None:
-        for end in self._ends:
-            end.send(data)
-
-    def filenos(self) -> list[int]:
-        return []
-
-    def close(self) -> None:
-        pass
-
-
 def twins(edit: Callable[[Any], Any]) -> FleetLink:
     """Return a station that hears two vehicles of one sysid from one address; ``edit`` changes what the second says."""
     plan = small_fleet("ardupilot", 1)
@@ -110,14 +86,7 @@ def twins(edit: Callable[[Any], Any]) -> FleetLink:
     sims[0].attach(air1)
     sims[1].attach(air2)
     clock = LockstepClock(sims[0])
-    wait = clock.wait
-
-    def both(seconds: float) -> None:
-        before_s = sims[0].now_s
-        wait(seconds)
-        sims[1].advance(sims[0].now_s - before_s)
-
-    clock.wait = both  # type: ignore[method-assign]
+    together(clock, *sims)
     return FleetLink(plan, [Merged(ground1, MeddledEndpoint(ground2, edit))], clock)
 
 

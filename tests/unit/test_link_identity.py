@@ -23,7 +23,7 @@ from missionplanner.mission import Point, RallyPoint, Vehicle
 from missionplanner.vehicle import Autopilot
 from sim.fleet import LockstepClock, SimFleet, planned_vehicles
 from tests.plans import small_fleet
-from tests.rig import MeddledEndpoint, Rig
+from tests.rig import MeddledEndpoint, Merged, Rig, together
 from tests.simulated import mission
 from tests.unit.test_fleet_transfer import bound
 
@@ -90,46 +90,21 @@ def test_two_autopilots_behind_one_address_are_not_read(read: Callable[..., Any]
     rig, other = Rig(small_fleet("ardupilot", 1)), Rig(small_fleet("ardupilot", 1))
     rig.upload()
     other.upload()
-    both = _Both(rig, other)
     with pytest.raises(LinkError, match=r"expected one autopilot, (heard|got answers of) two"):
-        read([both], rig.clock, expected=[1])
+        read([_two(rig, other)], rig.clock, expected=[1])
 
 
-class _Both:
-    """Two vehicles' pipes as one address; the second vehicle has another unique id."""
+def _two(rig: Rig, other: Rig) -> Merged:
+    """Return two vehicles' pipes as one address; the second vehicle has another unique id."""
 
-    url = "router"
+    def down(message: Any) -> Any:
+        if message.get_type() == "AUTOPILOT_VERSION":
+            message.uid = 0xABC
+        return message
 
-    def __init__(self, rig: Rig, other: Rig) -> None:
-        self._ends = (rig.pipes[0], other.pipes[0])
-        wait = rig.clock.wait
-
-        def both(seconds: float) -> None:
-            before_s = rig.sim.now_s
-            wait(seconds)
-            other.sim.advance(rig.sim.now_s - before_s)
-
-        rig.clock.wait = both  # type: ignore[method-assign]
-
-        def down(message: Any) -> Any:
-            if message.get_type() == "AUTOPILOT_VERSION":
-                message.uid = 0xABC
-            return message
-
-        other.pipes[0].down = down
-
-    def receive(self) -> list[tuple[bytes, Any]]:
-        return [(data, "router") for end in self._ends for data, _ in end.receive()]
-
-    def send(self, data: bytes, peer: Any = None) -> None:
-        for end in self._ends:
-            end.send(data)
-
-    def filenos(self) -> list[int]:
-        return []
-
-    def close(self) -> None:
-        pass
+    together(rig.clock, rig.sim, other.sim)
+    other.pipes[0].down = down
+    return Merged(rig.pipes[0], other.pipes[0])
 
 
 def test_whoever_takes_a_verified_vehicles_place_is_not_armed() -> None:
@@ -142,14 +117,7 @@ def test_whoever_takes_a_verified_vehicles_place_is_not_armed() -> None:
         fleet.attach(air)
         ends.append(MeddledEndpoint(ground, lambda message, k=k: message if heard[k] else None))
     clock = LockstepClock(fleets[0])
-    wait = clock.wait
-
-    def both(seconds: float) -> None:
-        before_s = fleets[0].now_s
-        wait(seconds)
-        fleets[1].advance(fleets[0].now_s - before_s)
-
-    clock.wait = both  # type: ignore[method-assign]
+    together(clock, *fleets)
     fleets[1].links[0].missions._store(0, list(mission("ardupilot")), None, 0.0)
     link = FleetLink(plan, ends, clock)
     link.connect()
