@@ -341,7 +341,11 @@ class FlightControl:
     def _ground(self, sysid: int, failure: LinkError) -> None:
         self._grounded[sysid] = failure
         if self._keeper is not None:
-            self._keeper.ground(list(self._vehicles).index(sysid))
+            self._keeper.ground(self._rank(sysid))
+
+    def _rank(self, sysid: int) -> int:
+        """Return which of the plan's vehicles that is, as the pacer counts them."""
+        return list(self._vehicles).index(sysid)
 
     def flight(self) -> FleetFlight:
         """Return what has been recorded so far."""
@@ -463,7 +467,7 @@ class FlightControl:
         self._outcomes, self._giving = {}, request.order
         for sysid, vehicle in wanted.items():
             if self._keeper is not None:
-                self._keeper.give_up(list(self._vehicles).index(sysid))
+                self._keeper.give_up(self._rank(sysid))
             if request.order != "resume":
                 vehicle.warned_m = None
             self._orders[sysid] = self._obeying(vehicle, request, strangers)
@@ -665,7 +669,7 @@ class FlightControl:
         if result != mavlink.MAV_RESULT_ACCEPTED:
             return "obeyed", f"goes on to item {item}{off}, but refused {speed.param2:.2f} m/s: its speed is another"
         if self._keeper is not None:
-            self._keeper.as_planned(list(self._vehicles).index(vehicle.plan.sysid))
+            self._keeper.as_planned(self._rank(vehicle.plan.sysid))
         return "obeyed", f"goes on to item {item} at {speed.param2:.2f} m/s{off}"
 
     def _item_of(self, vehicle: FleetVehicle) -> Waiting[int | None]:
@@ -684,7 +688,7 @@ class FlightControl:
 
     def _flies_on(self, vehicle: FleetVehicle) -> None:
         if self._keeper is not None:
-            self._keeper.went_on(list(self._vehicles).index(vehicle.plan.sysid))
+            self._keeper.went_on(self._rank(vehicle.plan.sysid))
 
     @staticmethod
     def _stops_in_mission(vehicle: FleetVehicle) -> bool:
