@@ -11,12 +11,22 @@ import difflib
 import math
 import re
 from collections.abc import Sequence
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from functools import cache, reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, Strict, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    JsonValue,
+    Strict,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from missionplanner.autopilot_parameters import ParameterError, defaults, fields, find, parameters, same, shown
@@ -215,7 +225,22 @@ class Cable(Model):
     radius_m: Size = 0.5
 
 
-Obstacle = Annotated[Cylinder | Cone | Radar | Marine | NoFly | Cable, Field(discriminator="kind")]
+class OverheadLine(Model):
+    """Another line: power, a ski lift, an aerial ropeway. Supports, and between neighbours the room below its cables.
+
+    Nobody flies below a cable; ``height_agl_m`` (or ``alt_amsl_m``) of a support is its top.
+    """
+
+    kind: Literal["line"]
+    name: Name
+    supports: tuple[Point, ...] = Field(min_length=2)
+    support_radius_m: Size = 3.0
+    cable_radius_m: Size = Field(3.0, description="half the width of the bundle of cables of a span")
+    catenary_m: Size = Field(2000.0, description="horizontal tension over weight per metre: the larger, the less sag")
+    assumed: tuple[str, ...] = Field((), description="what nobody measured, e.g. height_agl_m")
+
+
+Obstacle = Annotated[Cylinder | Cone | Radar | Marine | NoFly | Cable | OverheadLine, Field(discriminator="kind")]
 
 
 class Fence(_Top):
@@ -224,23 +249,174 @@ class Fence(_Top):
     polygon: tuple[Place, ...] = Field(min_length=3)
 
 
+def _iso_date(text: str | None) -> str | None:
+    try:
+        known = text is None or bool(date.fromisoformat(text))
+    except ValueError:
+        known = False
+    if not known:
+        raise ValueError(f"expected a date, e.g. 2026-05-04, got {text!r}")
+    return text
+
+
+Date = Annotated[str, AfterValidator(_iso_date)]
+"""A day, as ISO 8601 writes it."""
+
+
+class TowerViews(Model):
+    """From where a tower is looked at, and for how long."""
+
+    kind: Literal["overfly", "two_sides", "four_sides", "orbit"] = Field(
+        "two_sides",
+        description="from above; from both sides of the line; from both sides before and behind the tower; from "
+        "points evenly around it",
+    )
+    distance_m: Size = Field(25.0, description="from the tower's axis; overfly: above its top")
+    below_top_m: tuple[NonNegative, ...] = Field(
+        (5.0,), min_length=1, description="how far below the tower's top it is looked at from, once for each"
+    )
+    points: Annotated[int, Strict(), Field(ge=3, le=72)] = Field(8, description="of an orbit, at each height")
+    hold_s: UpToADay = Field(3.0, description="standing still at each point before a photo is taken")
+    photos: Annotated[int, Strict(), Field(ge=0, le=100)] = Field(1, description="at each point")
+
+
+class SpanViews(Model):
+    """A flight along the conductors, from tower to tower, taking photos on the way."""
+
+    sides: Literal["left", "right", "both"] = Field("both", description="of the line, in the order of its towers")
+    lateral_m: Size = Field(25.0, description="beside the line from tower to tower, horizontally")
+    vertical_m: Coordinate = Field(0.0, description="above the straight line from top to top (below 0: below it)")
+
+
+class Camera(Model):
+    """The camera that photos are taken with: a preset, or its numbers, or a preset with other numbers."""
+
+    preset: str | None = Field(None, description="e.g. sony_rx0m2; the command cameras lists them")
+    focal_length_mm: Positive | None = None
+    sensor_width_mm: Positive | None = None
+    sensor_height_mm: Positive | None = None
+    image_width_px: Annotated[int, Strict(), Field(ge=1)] | None = None
+    image_height_px: Annotated[int, Strict(), Field(ge=1)] | None = None
+    interval_min_s: Positive | None = Field(None, description="least time between two photos")
+    overlap_share: Annotated[float, Strict(), Field(ge=0, lt=1)] = Field(
+        0.7, description="of neighbouring photos on the way along a span"
+    )
+    gsd_max_mm: Positive | None = Field(
+        None, description="coarsest ground sampling distance on what is looked at; views further off are refused"
+    )
+
+
+class Assignment(Model):
+    """Who inspects what is to be found: towers (and spans) are shared out among the vehicles and their sorties."""
+
+    objective: Literal["makespan", "priority", "balanced"] = Field(
+        "makespan",
+        description="all towers in least time; most weight within one sortie of each vehicle; all towers, all "
+        "vehicles flying about as long",
+    )
+    sorties_max: Annotated[int, Strict(), Field(ge=1, le=50)] = Field(
+        10, description="of each vehicle, one after the other; all start their next ones together"
+    )
+    swap_s: UpToADay = Field(300.0, description="on the ground between two sorties: batteries are changed")
+    iterations: Annotated[int, Strict(), Field(ge=1, le=10_000_000)] = Field(
+        2000, description="of the solver, in each of its runs"
+    )
+
+
 class Tower(Place):
-    """A tower of the line to inspect."""
+    """A tower of a line to inspect."""
 
     name: Name
     height_m: Size = 35.0
-    weight: NonNegative = Field(1.0, description="priority, e.g. days since the last inspection (PAPER.md eq. 15)")
+    weight: NonNegative | None = Field(
+        None,
+        description="priority (PAPER.md eq. 15); default: days since last_inspected, else 1",
+    )
+    last_inspected: Date | None = Field(None, description="needs inspection.as_of")
+    views: TowerViews | Literal["none"] | None = Field(
+        None, description="instead of inspection.views; none: an obstacle only"
+    )
+    assumed: tuple[str, ...] = Field((), description="what nobody measured, e.g. height_m")
+
+
+class InspectedLine(Model):
+    """One line: towers in order, with conductors between neighbours. Lines may share towers (circuits, branches)."""
+
+    name: Name
+    towers: tuple[Name, ...] = Field(min_length=2)
+    voltage_kv: Positive | None = None
+    conductor_radius_m: Size | None = Field(None, description="default: inspection.conductor_radius_m")
+    catenary_m: Size = Field(2000.0, description="horizontal tension over weight per metre: the larger, the less sag")
+    spans: SpanViews | Literal["none"] | None = Field(None, description="instead of inspection.spans")
 
 
 class Inspection(Model):
-    """The line to inspect: its towers in order, each an obstacle, with conductors between neighbours."""
+    """The lines to inspect: their towers, each an obstacle, with conductors between neighbours; nobody flies below."""
 
     towers: tuple[Tower, ...] = Field(min_length=1)
+    lines: tuple[InspectedLine, ...] = Field((), description="default: one, through all towers in their order")
+    as_of: Date | None = Field(None, description="the day from which the time since last_inspected counts")
+    safety_distance_m: Positive | None = Field(
+        None, description="least distance to conductors; no vehicle's safety.obstacle_m may be less"
+    )
     standoff_m: Positive = Field(25.0, description="height above a tower's top at which it is overflown")
     range_m: Positive = Field(60.0, description="a tower counts as inspected when a path passes its top this close")
     share_min: Share = Field(1.0, description="least share of towers (eq. 6)")
     tower_radius_m: Size = 6.0
     conductor_radius_m: Size = Field(8.0, description="half the width of the bundle of conductors of a span")
+    views: TowerViews = Field(TowerViews(), description="of every tower, where assignment says who inspects what")
+    spans: SpanViews | Literal["none"] = Field("none", description="of every span, likewise")
+    camera: Camera | None = None
+    assignment: Assignment | None = Field(
+        None, description="vehicles name no towers, stops or goals then: what each inspects is found"
+    )
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """Every tower's priority (PAPER.md eq. 15)."""
+        today = None if self.as_of is None else date.fromisoformat(self.as_of)
+
+        def weight(tower: Tower) -> float:
+            if tower.weight is not None:
+                return tower.weight
+            if tower.last_inspected is None or today is None:
+                return 1.0
+            return float((today - date.fromisoformat(tower.last_inspected)).days)
+
+        return tuple(weight(tower) for tower in self.towers)
+
+    @property
+    def lines_or_one(self) -> tuple[InspectedLine, ...]:
+        """The lines; where none are given, the one through all towers."""
+        if self.lines or len(self.towers) < 2:
+            return self.lines
+        return (InspectedLine(name="line", towers=tuple(tower.name for tower in self.towers)),)
+
+    @model_validator(mode="after")
+    def _dates_are_past(self) -> Inspection:
+        for i, tower in enumerate(self.towers):
+            if tower.last_inspected is None:
+                continue
+            if self.as_of is None:
+                raise _error_at(("inspection", "as_of"), "expected a date to count from, since last_inspected is given")
+            if date.fromisoformat(tower.last_inspected) > date.fromisoformat(self.as_of):
+                problem = f"expected a day not after as_of ({self.as_of}), got {tower.last_inspected}"
+                raise _error_at(("inspection", "towers", i, "last_inspected"), problem)
+        return self
+
+    @model_validator(mode="after")
+    def _lines_are_of_the_towers(self) -> Inspection:
+        names = [tower.name for tower in self.towers]
+        known = set(names)
+        _expect_unique("name", {("inspection", "lines", i): line.name for i, line in enumerate(self.lines)})
+        for i, line in enumerate(self.lines):
+            for k, name in enumerate(line.towers):
+                location = ("inspection", "lines", i, "towers", k)
+                if name not in known:
+                    raise _error_at(location, f"expected the name of a tower, got {name!r}: {_suggestion(name, names)}")
+                if k > 0 and line.towers[k - 1] == name:
+                    raise _error_at(location, f"expected another tower than the one before it, got {name!r}")
+        return self
 
 
 class TowerRange(Model):
@@ -248,6 +424,38 @@ class TowerRange(Model):
 
     first: Name
     last: Name
+
+
+class Direction(Model):
+    """Where a camera looks, whatever the vehicle does."""
+
+    heading_deg: Annotated[float, Strict(), Field(ge=0, le=360)] = Field(description="clockwise from true north")
+    pitch_deg: Annotated[float, Strict(), Field(ge=-90, le=90)] = Field(description="above the horizon; -90: down")
+
+
+class Stop(Point):
+    """A place to fly through, and what is done on the way to it and there."""
+
+    name: Name | None = Field(None, description="what reports call it, e.g. T01.left")
+    inspects: Name | None = Field(None, description="the tower, or span (span A-B), that is looked at")
+    hold_s: UpToADay = Field(0.0, description="stand still there, before photos are taken (copters); whole seconds")
+    look_at: Point | None = Field(None, description="the camera points there, on the way to it and there")
+    look: Direction | None = Field(None, description="or: the camera points that way")
+    photos: Annotated[int, Strict(), Field(ge=0, le=100)] = Field(0, description="taken there, after the hold")
+    photo_every_m: Positive | None = Field(None, description="on the way to it: a photo every so many metres")
+
+    @field_validator("hold_s")
+    @classmethod
+    def _whole_seconds(cls, hold_s: float) -> float:
+        if hold_s != round(hold_s):
+            raise ValueError(f"expected whole seconds, as autopilots count them, got {hold_s:g}")
+        return hold_s
+
+    @model_validator(mode="after")
+    def _one_aim(self) -> Stop:
+        if self.look_at is not None and self.look is not None:
+            raise ValueError("expected at most one of look_at and look")
+        return self
 
 
 class SpeedRange(Model):
@@ -421,9 +629,9 @@ class Vehicle(VehicleSettings):
     )
     home: Place | None = Field(None, description="default: on the ground below start")
     start: Point | None = None
-    stops: tuple[Point, ...] = ()
+    stops: tuple[Stop, ...] = ()
     inspects: TowerRange | None = None
-    goal: Point
+    goal: Point | None = Field(None, description="default, of copters with stops or towers: above home")
 
     @field_validator("uid")
     @classmethod
@@ -680,6 +888,43 @@ class Mission(Model):
             if vehicle.vehicle_class == "plane" and vehicle.end == "land":
                 problem = "expected loiter or rtl for a plane, got 'land': no approach is planned; land it by hand"
                 raise _error_at(("vehicles", i, "end"), problem)
+        return self
+
+    @model_validator(mode="after")
+    def _everybody_has_something_to_do(self) -> Mission:
+        open_ = self.inspection is not None and self.inspection.assignment is not None
+        for i, vehicle in enumerate(self.vehicles):
+            if open_:
+                for field in ("start", "stops", "inspects", "goal"):
+                    if getattr(vehicle, field):
+                        problem = "expected none where inspection.assignment shares out the towers: leave it out"
+                        raise _error_at(("vehicles", i, field), problem)
+                if vehicle.vehicle_class == "plane":
+                    problem = "expected copters where inspection.assignment shares out the towers, got a plane"
+                    raise _error_at(("vehicles", i, "class"), problem)
+            elif vehicle.goal is None:
+                returns = vehicle.home is not None and vehicle.vehicle_class == "copter"
+                if not (returns and (vehicle.stops or vehicle.inspects)):
+                    problem = (
+                        "expected this field, got none: only copters with a home, and stops or towers, return there"
+                    )
+                    raise _error_at(("vehicles", i, "goal"), problem)
+            for k, stop in enumerate(vehicle.stops):
+                if stop.hold_s > 0.0 and vehicle.vehicle_class == "plane":
+                    problem = f"expected 0 for a plane, which cannot stand still, got {stop.hold_s:g}"
+                    raise _error_at(("vehicles", i, "stops", k, "hold_s"), problem)
+        return self
+
+    @model_validator(mode="after")
+    def _conductors_are_kept_clear_of(self) -> Mission:
+        need_m = None if self.inspection is None else self.inspection.safety_distance_m
+        for i, vehicle in enumerate(self.vehicles):
+            if need_m is not None and vehicle.safety.obstacle_m < need_m:
+                problem = (
+                    f"expected at least inspection.safety_distance_m ({need_m:g} m), got "
+                    f"{vehicle.safety.obstacle_m:g} m: raise it"
+                )
+                raise _error_at(("vehicles", i, "safety", "obstacle_m"), problem)
         return self
 
     @model_validator(mode="after")

@@ -5,7 +5,8 @@ Positions are in the mission's local frame: x east, y north, z altitude AMSL, al
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -27,6 +28,21 @@ class Trajectory:
         """Return positions (..., 3) at times (...); before the start and after the end the vehicle stands still."""
         t = np.asarray(t_s, dtype=float)
         return np.stack([np.interp(t, self.t_s, self.position_m[:, k]) for k in range(3)], axis=-1)
+
+
+@dataclass(frozen=True, slots=True)
+class Action:
+    """What a vehicle does on the way to a place of its route, and there: stand still, then take photos."""
+
+    name: str = ""  # what reports call the place, e.g. T01.left
+    inspects: str = ""  # the tower or span that is looked at
+    hold_s: float = 0.0  # whole seconds
+    look_at_m: tuple[float, float, float] | None = None  # the camera points there
+    look_deg: tuple[float, float] | None = (
+        None  # or that way: heading clockwise from true north, pitch above the horizon
+    )
+    photos: int = 0  # there, after the hold
+    photo_every_m: float = 0.0  # on the way; 0: none
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +94,7 @@ class VehiclePlan:
     history: FloatArray  # (G,) best cost per iteration
     evaluations: int
     clearances: tuple[Clearance, ...]  # least to terrain, and to the nearest obstacle or fence if there is any
+    actions: Mapping[int, Action] = field(default_factory=dict)  # by waypoint
 
     @property
     def speed_m_s(self) -> float:

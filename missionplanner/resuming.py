@@ -14,7 +14,7 @@ import numpy as np
 from missionplanner import planner, proof
 from missionplanner.errors import InfeasibleError, MissionError
 from missionplanner.geodesy import FloatArray
-from missionplanner.mission import Mission, Place, Point
+from missionplanner.mission import Mission, Place, Point, Stop
 from missionplanner.path_search import PlannedPath
 from missionplanner.plan import FleetPlan, VehiclePlan
 from missionplanner.planner import Watch
@@ -144,13 +144,13 @@ def way_to(
 def _alone(question: Mission, name: str, home_m: FloatArray, places_m: FloatArray, end: Ending) -> Mission:
     """Return the mission of one vehicle through places (P, 3), all else as it was; towers are obstacles only."""
     number, asked = next((i, v) for i, v in enumerate(question.vehicles, start=1) if v.name == name)
-    points = [Point(x_m=float(x), y_m=float(y), alt_amsl_m=float(z)) for x, y, z in places_m]
+    *stops, goal = [{"x_m": float(x), "y_m": float(y), "alt_amsl_m": float(z)} for x, y, z in places_m]
     changes = {
         "sysid": asked.sysid or number,
         "home": Place(x_m=float(home_m[0]), y_m=float(home_m[1])),
         "start": asked.start if asked.vehicle_class == "plane" else None,  # which says where it climbs to
-        "stops": tuple(points[:-1]),
-        "goal": points[-1],
+        "stops": tuple(Stop(**stop) for stop in stops),
+        "goal": Point(**goal),
         "inspects": None,
         "end": end,
     }

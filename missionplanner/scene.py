@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +28,7 @@ from missionplanner.obstacles import (
     check_polygon,
     pack,
 )
+from missionplanner.plan import Action
 from missionplanner.terrain import Rectangle, Terrain
 from missionplanner.terrain_bounds import least_heights, steepest
 from missionplanner.vehicle import (
@@ -65,6 +66,7 @@ class VehicleTask:
     limits: VehicleLimits
     motion: MotionModel
     places: Mapping[int | str, int]  # what the mission calls the route's points: numbers (0: its start) and towers
+    actions: Mapping[int, Action] = field(default_factory=dict)  # by point of the route
 
     @property
     def off_prediction_m(self) -> float:
@@ -105,8 +107,14 @@ def build_scene(mission: Mission, folder: Path) -> Scene:
     ------
     MissionError
         A terrain file that cannot be read or does not cover a place, or has voids along the way; a start, stop or goal
-        below ground, inside an obstacle or outside the fence; two vehicles with one home or start.
+        below ground, inside an obstacle or outside the fence; two vehicles with one home or start; an inspection whose
+        towers are still to be shared out (see :mod:`.inspection`).
     """
+    if mission.inspection is not None and mission.inspection.assignment is not None:
+        raise MissionError(
+            "inspection.assignment: expected stops of every vehicle, got towers that are still to be shared out: plan "
+            "the mission first"
+        )
     return _Builder(mission, folder).scene()
 
 
@@ -149,12 +157,16 @@ def _input_sha256(question: Mission, ground: Terrain) -> str:
     return digest.hexdigest()
 
 
+_OneSolid = mission.Cylinder | mission.Cone | mission.Radar | mission.Marine | mission.NoFly | mission.Cable
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Spot:
     """A point of a route and what it is called in errors."""
 
     what: str
     position_m: FloatArray
+    action: Action | None = None
 
 
 class _Builder:
@@ -169,7 +181,8 @@ class _Builder:
         ]
         self._area, self._terrain = self._area_and_terrain(folder)
         self._towers = self._tower_tops()
-        self._obstacles = pack([*map(self._solid, itertools.count(), question.obstacles), *self._line_solids()])
+        declared = (solid for i, obstacle in enumerate(question.obstacles) for solid in self._solids(i, obstacle))
+        self._obstacles = pack([*declared, *self._line_solids()])
         self._space = self._everything()
 
     def scene(self, *, with_routes: bool = True) -> Scene:
@@ -248,10 +261,10 @@ class _Builder:
     def _places_needed(self) -> Iterator[tuple[float, float]]:
         yield from self._also
         for i, vehicle in enumerate(self._mission.vehicles):
-            for field in ("home", "start", "goal"):
-                place = getattr(vehicle, field)
+            for name in ("home", "start", "goal"):
+                place = getattr(vehicle, name)
                 if place is not None:
-                    yield self._xy(place, _named(i, vehicle, field))
+                    yield self._xy(place, _named(i, vehicle, name))
             for k, stop in enumerate(vehicle.stops):
                 yield self._xy(stop, _named(i, vehicle, f"stops[{k}]"))
         if self._mission.inspection is not None:
@@ -267,6 +280,9 @@ class _Builder:
                 case mission.Cable():
                     yield self._xy(obstacle.start, f"{what}.start")
                     yield self._xy(obstacle.end, f"{what}.end")
+                case mission.OverheadLine():
+                    for k, support in enumerate(obstacle.supports):
+                        yield self._xy(support, f"{what}.supports[{k}]")
                 case _:
                     x, y = self._xy(obstacle.center, f"{what}.center")
                     radius = obstacle.base_radius_m if isinstance(obstacle, mission.Cone) else obstacle.radius_m
@@ -289,7 +305,20 @@ class _Builder:
 
     # --- solids
 
-    def _solid(self, index: int, obstacle: mission.Obstacle) -> Solid:
+    def _solids(self, index: int, obstacle: mission.Obstacle) -> list[Solid]:
+        if not isinstance(obstacle, mission.OverheadLine):
+            return [self._solid(index, obstacle)]
+        what = _obstacle(index, obstacle)
+        tops = [self._position(support, f"{what}.supports[{k}]") for k, support in enumerate(obstacle.supports)]
+        return [
+            *(
+                CylinderSolid(f"{obstacle.name}", x, y, obstacle.support_radius_m, z)
+                for x, y, z in np.array(tops).tolist()
+            ),
+            *(CableSolid(obstacle.name, a, b, obstacle.cable_radius_m) for a, b in itertools.pairwise(tops)),
+        ]
+
+    def _solid(self, index: int, obstacle: _OneSolid) -> Solid:
         what, name = _obstacle(index, obstacle), obstacle.name
         match obstacle:
             case mission.Cylinder():
@@ -361,7 +390,7 @@ class _Builder:
         return Towers(
             names=tuple(tower.name for tower in inspection.towers),
             top_m=np.array(tops),
-            weight=np.array([tower.weight for tower in inspection.towers], dtype=np.float64),
+            weight=np.array(inspection.weights, dtype=np.float64),
             range_m=inspection.range_m,
             share_min=inspection.share_min,
         )
@@ -409,6 +438,8 @@ class _Builder:
         else:
             top = self._takeoff_top(vehicle, limits, margins, home, after)
             route = [_Spot(f"{home_what}, top of the take-off", top), *after]
+        if vehicle.goal is None:  # above where it started
+            route.append(_Spot(f"{home_what}, where it ends", self._takeoff_top(vehicle, limits, margins, home, after)))
 
         for spot in route:
             self._check_spot(spot, margins)
@@ -441,6 +472,7 @@ class _Builder:
             limits=limits,
             motion=model,
             places=self._places(vehicle, len(route)),
+            actions={k: spot.action for k, spot in enumerate(route) if spot.action is not None},
         )
 
     def _task_without_route(self, index: int, vehicle: mission.Vehicle) -> VehicleTask:
@@ -498,15 +530,31 @@ class _Builder:
         return replace(limits, height_agl_max_m=min(limits.height_agl_max_m, fence.top_height_agl_m))
 
     def _route_after_takeoff(self, index: int, vehicle: mission.Vehicle) -> list[_Spot]:
-        points = [("start", vehicle.start)] if vehicle.start is not None else []
-        points += [(f"stops[{k}]", stop) for k, stop in enumerate(vehicle.stops)]
-        fields = [*points, ("goal", vehicle.goal)]
-        spots = [
-            _Spot(what := _named(index, vehicle, field), self._position(point, what))
-            for field, point in fields
-            if point
-        ]
-        return [*spots[:-1], *self._tower_stops(index, vehicle), spots[-1]]
+        def spot(field: str, point: mission.Point) -> _Spot:
+            what = _named(index, vehicle, field)
+            return _Spot(what, self._position(point, what))
+
+        spots = [spot("start", vehicle.start)] if vehicle.start is not None else []
+        for k, stop in enumerate(vehicle.stops):
+            at = spot(f"stops[{k}]", stop)
+            spots.append(replace(at, action=self._action(stop, at.what)))
+        spots += self._tower_stops(index, vehicle)
+        return [*spots, spot("goal", vehicle.goal)] if vehicle.goal is not None else spots
+
+    def _action(self, stop: mission.Stop, what: str) -> Action | None:
+        """Return what is done on the way to a stop and there; None: nothing."""
+        look_at_m = None if stop.look_at is None else tuple(self._position(stop.look_at, f"{what}.look_at").tolist())
+        look_deg = None if stop.look is None else (stop.look.heading_deg, stop.look.pitch_deg)
+        action = Action(
+            stop.name or "",
+            stop.inspects or "",
+            stop.hold_s,
+            look_at_m,
+            look_deg,
+            stop.photos,
+            stop.photo_every_m or 0.0,
+        )
+        return action if action != Action() else None
 
     def _inspected(self, vehicle: mission.Vehicle) -> list[tuple[str, int]]:
         """Return names and places in the line of the towers that a vehicle inspects, in its order."""
