@@ -33,7 +33,7 @@ Workers = Annotated[int | None, typer.Option(min=1, help="processes; default: on
 Cluster = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="Dask scheduler (tcp://HOST:PORT) whose workers run it instead")
 ]
-SAN_GABRIEL = Path("missions/san_gabriel.yaml")
+RIDGE_LINE = Path("missions/ridge_line.yaml")
 
 
 def run(name: str, output: Path | None, as_json: bool, measure: Callable[..., dict[str, Any]]) -> dict[str, Any]:
@@ -74,7 +74,7 @@ def proof(
     output: Output = None,
     seed: Seed = 1,
     quick: Quick = False,
-    mission: MissionFile = SAN_GABRIEL,
+    mission: MissionFile = RIDGE_LINE,
     samples: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="also check the .plan and .waypoints files there")
     ] = None,
@@ -120,7 +120,7 @@ def arrival(
     seed: Annotated[int, typer.Option(min=0, help="the first of them")] = 1,
     seeds: Annotated[int, typer.Option(min=1, help="plans, each with a seed of its own")] = 20,
     quick: Quick = False,
-    mission: MissionFile = SAN_GABRIEL,
+    mission: MissionFile = RIDGE_LINE,
     workers: Workers = None,
     cluster: Cluster = None,
     as_json: AsJson = False,
@@ -449,7 +449,7 @@ def kernel(
             experiment.main,
             instances=instances,
             yardstick=yardstick,
-            missions=mission or [SAN_GABRIEL.with_name("mountain.yaml"), SAN_GABRIEL],
+            missions=mission or [RIDGE_LINE.with_name("mountain.yaml"), RIDGE_LINE],
             seed=seed,
             quick=quick,
         ),

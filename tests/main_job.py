@@ -15,7 +15,7 @@ from missionplanner.scene import Scene
 from sim.fleet import LockstepClock, SimFleet, connect_fleet, planned_vehicles
 
 MISSIONS = Path(__file__).parents[1] / "missions"
-EXAMPLES = ("quickstart", "mountain", "multi_domain", "san_gabriel")
+EXAMPLES = ("quickstart", "mountain", "multi_domain", "ridge_line")
 
 
 def mission_path(name: str) -> Path:

@@ -38,7 +38,7 @@ SCHEMES = {
     "fixed, 10,000": FULL._replace(rounds=1, steps=300, penalty=10_000.0),
     "no polish": FULL._replace(rounds=0),
 }
-EXAMPLES = ("quickstart", "mountain", "multi_domain", "san_gabriel")
+EXAMPLES = ("quickstart", "mountain", "multi_domain", "ridge_line")
 _QUICK_SEEDS = 2
 
 

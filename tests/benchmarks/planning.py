@@ -51,7 +51,7 @@ def measure(mission: Path, folder: Path, environment: Mapping[str, str]) -> Cost
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("mission", type=Path, nargs="?", default=mission_path("san_gabriel"))
+    parser.add_argument("mission", type=Path, nargs="?", default=mission_path("ridge_line"))
     parser.add_argument("--repeats", type=int, default=3, help="warm runs")
     options = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as name:

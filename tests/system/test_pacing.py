@@ -1,4 +1,4 @@
-"""San Gabriel, disturbed in ways that the plan does not know of, and kept together on the way."""
+"""The ridge line, disturbed in ways that the plan does not know of, and kept together on the way."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def wind(from_deg: float, speed_m_s: float = 5.0) -> tuple[float, float]:
 @pytest.fixture(scope="module")
 def planned() -> Iterator[tuple[Scene, FleetPlan]]:
     with tempfile.TemporaryDirectory() as name:
-        scene = load_scene(mission_path("san_gabriel"))
+        scene = load_scene(mission_path("ridge_line"))
         yield scene, plan_into(Path(name), scene, seed=1)
 
 

@@ -18,7 +18,7 @@ from missionplanner.experiments.proof_trials import Tally
 
 pytestmark = pytest.mark.slow
 
-MISSION = Path(__file__).parents[2] / "missions" / "san_gabriel.yaml"
+MISSION = Path(__file__).parents[2] / "missions" / "ridge_line.yaml"
 LEGS = proof_trials.LEGS_PER_WORLD
 
 Install = Callable[[pytest.MonkeyPatch, types.ModuleType], None]

@@ -12,7 +12,7 @@ from missionplanner.experiments import proof, proof_oracle, proof_trials, proof_
 from missionplanner.obstacles import CableSolid, ConeSolid, CylinderSolid, PrismSolid, Solid, SphereSolid, pack
 from tests.oracles import surface
 
-MISSION = Path(__file__).parents[2] / "missions" / "san_gabriel.yaml"
+MISSION = Path(__file__).parents[2] / "missions" / "ridge_line.yaml"
 
 
 def test_no_sample_contradicts_a_claim() -> None:

@@ -117,7 +117,7 @@ def test_the_judge_finds_what_is_between_points() -> None:
 
 def test_the_judge_refuses_what_it_cannot_read() -> None:
     """A terrain from a file, a height above ground of a top: said, not guessed."""
-    text = mission_path("san_gabriel").read_text(encoding="utf-8")
+    text = mission_path("ridge_line").read_text(encoding="utf-8")
     with pytest.raises(MissionError, match="on flat ground or peaks"):
         Judge(parse_mission(text, "m"))
     lower = MOUNTAIN.replace(

@@ -279,7 +279,7 @@ def test_a_plane_s_predicted_flight_is_repaired() -> None:
 
 
 def test_waypoints_pushed_down_in_real_mountains_come_back_up() -> None:
-    question_ = load_mission(MISSIONS / "san_gabriel.yaml")
+    question_ = load_mission(MISSIONS / "ridge_line.yaml")
     space = build_check_scene(question_, MISSIONS, [])
     home = space.tasks[0].home_m
     offsets = [(0, 0), (-800, 300), (-1300, 600), (-1900, 900), (-2600, 300)]

@@ -257,7 +257,7 @@ def test_guesses_differ() -> None:
 
 def test_real_mountains() -> None:
     """30 m elevation model, legs of 100 m to 8 km between random places 40 m above the ground."""
-    mission = Path(__file__).parents[2] / "missions" / "san_gabriel.yaml"
+    mission = Path(__file__).parents[2] / "missions" / "ridge_line.yaml"
     scene = build_scene(load_mission(mission), mission.parent)
     rng = np.random.default_rng(0)
     for reach_m in (100.0, 300.0, 1000.0, 3000.0, 8000.0):
