@@ -49,6 +49,8 @@ Angle = Annotated[float, Strict(), Field(gt=0, lt=90)]
 Share = Annotated[float, Strict(), Field(ge=0, le=1)]
 Flag = Annotated[bool, Strict()]
 Name = Annotated[str, Field(min_length=1, max_length=40, pattern=r"^\w[\w.-]*$")]
+Label = Annotated[str, Field(min_length=1, max_length=100, pattern=r"^\w[\w. -]*$")]
+"""What reports call something that has no name of its own: a view of a tower, a span."""
 
 
 class Model(BaseModel):
@@ -436,8 +438,8 @@ class Direction(Model):
 class Stop(Point):
     """A place to fly through, and what is done on the way to it and there."""
 
-    name: Name | None = Field(None, description="what reports call it, e.g. T01.left")
-    inspects: Name | None = Field(None, description="the tower, or span (span A-B), that is looked at")
+    name: Label | None = Field(None, description="what reports call it, e.g. T01.left")
+    inspects: Label | None = Field(None, description="the tower, or span (span A-B), that is looked at")
     hold_s: UpToADay = Field(0.0, description="stand still there, before photos are taken (copters); whole seconds")
     look_at: Point | None = Field(None, description="the camera points there, on the way to it and there")
     look: Direction | None = Field(None, description="or: the camera points that way")
@@ -902,6 +904,9 @@ class Mission(Model):
                 if vehicle.vehicle_class == "plane":
                     problem = "expected copters where inspection.assignment shares out the towers, got a plane"
                     raise _error_at(("vehicles", i, "class"), problem)
+                if vehicle.end == "loiter":
+                    problem = "expected land or rtl where inspection.assignment shares out the towers, got 'loiter'"
+                    raise _error_at(("vehicles", i, "end"), f"{problem}: it comes down for a change of batteries")
             elif vehicle.goal is None:
                 returns = vehicle.home is not None and vehicle.vehicle_class == "copter"
                 if not (returns and (vehicle.stops or vehicle.inspects)):
@@ -913,6 +918,18 @@ class Mission(Model):
                 if stop.hold_s > 0.0 and vehicle.vehicle_class == "plane":
                     problem = f"expected 0 for a plane, which cannot stand still, got {stop.hold_s:g}"
                     raise _error_at(("vehicles", i, "stops", k, "hold_s"), problem)
+        return self
+
+    @model_validator(mode="after")
+    def _rounds_have_no_times_of_their_own(self) -> Mission:
+        if self.inspection is None or self.inspection.assignment is None:
+            return self
+        for field in ("rendezvous", "arrival_time_s", "arrival_utc"):
+            if getattr(self.fleet, field):
+                problem = (
+                    "expected none where inspection.assignment shares out the towers, in as many sorties as needed"
+                )
+                raise _error_at(("fleet", field), f"{problem}: leave it out")
         return self
 
     @model_validator(mode="after")
