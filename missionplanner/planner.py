@@ -29,7 +29,7 @@ from missionplanner.kernels import SpaceArrays
 from missionplanner.obstacles import CableSolid, CylinderSolid, Solid
 from missionplanner.path import evenly, length_m
 from missionplanner.path_search import Budget, Clock, Guesses, PlannedPath, find_path, guess
-from missionplanner.plan import FleetPlan, Resolution, Trajectory, VehiclePlan
+from missionplanner.plan import Action, FleetPlan, Resolution, Trajectory, VehiclePlan
 from missionplanner.proof import Conflict
 from missionplanner.returns import Returning, UnreturnableError
 from missionplanner.scene import Scene, Towers, VehicleTask
@@ -68,6 +68,14 @@ _ROUTE_ROOM_M = 5.0
 
 
 Searched = Callable[[PlannedPath], None]
+
+
+class UnprovenError(InfeasibleError):
+    """A plan was found, and ``problems`` of it are not proven."""
+
+    def __init__(self, problems: Sequence[Finding]) -> None:
+        super().__init__(f"not proven: {'; '.join(map(str, problems))}")
+        self.problems = tuple(problems)
 
 
 class Watch(Protocol):
@@ -133,7 +141,7 @@ def _proven(team: _Team) -> FleetPlan:
             return plan
         if not team.give_room(problems):
             break
-    raise InfeasibleError(f"not proven: {'; '.join(map(str, problems))}")
+    raise UnprovenError(problems)
 
 
 @dataclass(frozen=True, slots=True)
@@ -566,7 +574,22 @@ def _flier(scene: Scene, task: VehicleTask, path: PlannedPath, delay_s: float) -
         delay_s=delay_s,
         can_wait=task.motion.vehicle_class == "copter",
         thrifty=thrifty,
+        stand_s=stands_s(task, path.waypoints_m),
     )
+
+
+def waypoint_actions(task: VehicleTask, waypoints_m: FloatArray) -> dict[int, Action]:
+    """Return what a vehicle does at which of its waypoints (W, 3), and on the way to them."""
+    if not task.actions:
+        return {}
+    stops = _stop_indices(task.route_m, waypoints_m)
+    return {stops[point]: action for point, action in sorted(task.actions.items())}
+
+
+def stands_s(task: VehicleTask, waypoints_m: FloatArray) -> tuple[float, ...]:
+    """Return how long a vehicle has to stand still at each of its waypoints (W, 3) but the first (W - 1)."""
+    actions = waypoint_actions(task, waypoints_m)
+    return tuple(actions[k].stand_s if k in actions else 0.0 for k in range(1, len(waypoints_m)))
 
 
 def _stop_indices(route_m: FloatArray, waypoints_m: FloatArray) -> list[int]:
@@ -613,6 +636,7 @@ def assemble(
                 history=path.history,
                 evaluations=path.evaluations,
                 clearances=(),
+                actions=waypoint_actions(task, path.waypoints_m),
             )
         )
     return FleetPlan(
@@ -655,7 +679,9 @@ def _thriftiest_m_s(scene: Scene, task: VehicleTask, path: PlannedPath) -> float
     low_m_s, high_m_s = _speed_range(task, path)
     used: dict[float, float] = {}
     for speed_m_s in np.linspace(low_m_s, high_m_s, _PACES).round(2).clip(low_m_s, high_m_s).tolist():
-        flight, reached_s = timing.predict_flight(task.motion, task.home_m, path.waypoints_m, speed_m_s)
+        flight, reached_s = timing.predict_flight(
+            task.motion, task.home_m, path.waypoints_m, speed_m_s, hold_s=stands_s(task, path.waypoints_m)
+        )
         share = energy.used_share(model, flight, scene.mission.wind_max_m_s or 0.0)
         used[speed_m_s] = float(np.interp(reached_s[-1], flight.t_s, share))
     return min(used, key=lambda speed_m_s: used[speed_m_s])
