@@ -30,6 +30,10 @@ class Trajectory:
         return np.stack([np.interp(t, self.t_s, self.position_m[:, k]) for k in range(3)], axis=-1)
 
 
+PHOTO_S = 1.0
+"""How long a vehicle that stands still at a place goes on doing so for each photo; whole seconds."""
+
+
 @dataclass(frozen=True, slots=True)
 class Action:
     """What a vehicle does on the way to a place of its route, and there: stand still, then take photos."""
@@ -43,6 +47,11 @@ class Action:
     )
     photos: int = 0  # there, after the hold
     photo_every_m: float = 0.0  # on the way; 0: none
+
+    @property
+    def stand_s(self) -> float:
+        """How long the vehicle stands still there in all: the hold, then the photos; 0: it flies through."""
+        return self.hold_s + PHOTO_S * self.photos if self.hold_s > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)

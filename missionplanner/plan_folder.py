@@ -26,6 +26,7 @@ from missionplanner.mission import parse_mission
 from missionplanner.path import length_m
 from missionplanner.path_search import PlannedPath
 from missionplanner.plan import (
+    Action,
     Clearance,
     Correction,
     FleetFlight,
@@ -420,6 +421,10 @@ def _misfit(task: VehicleTask, record: _VehicleRecord, delay_min_s: float) -> st
         missed = None if found[-1] == len(waypoints_m) - 1 else last
     if missed is not None:
         return f"waypoints from the top of the take-off through every stop to the goal, got none at {names[missed]}"
+    least_s = planner.stands_s(task, waypoints_m)
+    for k, (waypoint, stand_s) in enumerate(zip(record.waypoints[1:], least_s, strict=True), start=1):
+        if waypoint.hold_s < stand_s:
+            return f"waypoint {k} to be held for at least {stand_s:g} s, got {waypoint.hold_s:g}"
     problem = wind.storm_problem(task)
     for way_m, speed_m_s in zip(np.diff(waypoints_m, axis=0), record.speeds_m_s, strict=True):
         problem = problem or wind.leg_problem(task.limits, task.motion, way_m, speed_m_s)
@@ -448,6 +453,8 @@ def _vehicle(vehicle: VehiclePlan, frame: LocalFrame) -> dict[str, Any]:
         waypoints[1:], vehicle.speeds_m_s.tolist(), vehicle.hold_s.tolist(), strict=True
     ):
         waypoint |= {"speed_m_s": speed_m_s, "hold_s": hold_s}
+    for k, action in vehicle.actions.items():
+        waypoints[k] |= _action(action, frame)
     return {
         "name": vehicle.name,
         "sysid": vehicle.sysid,
@@ -470,6 +477,21 @@ def _vehicle(vehicle: VehiclePlan, frame: LocalFrame) -> dict[str, Any]:
         "path_m": vehicle.path_m.tolist(),
         "history": vehicle.history.tolist(),
     }
+
+
+def _action(action: Action, frame: LocalFrame) -> dict[str, Any]:
+    """Return what is done at a waypoint, for readers: loading takes it from the mission."""
+    done: dict[str, Any] = {
+        "name": action.name,
+        "inspects": action.inspects,
+        "look_at": None if action.look_at_m is None else _place(action.look_at_m, frame),
+        "look": None
+        if action.look_deg is None
+        else dict(zip(("heading_deg", "pitch_deg"), action.look_deg, strict=True)),
+        "photos": action.photos,
+        "photo_every_m": action.photo_every_m,
+    }
+    return {field: value for field, value in done.items() if value}
 
 
 def _place(position_m: FloatArray | Vector, frame: LocalFrame) -> dict[str, float]:

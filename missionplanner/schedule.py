@@ -36,8 +36,8 @@ class Schedule:
 
     start_delay_s: float
     speeds_m_s: tuple[float, ...]
-    hold_s: tuple[float, ...]  # whole seconds
-    window_s: tuple[float, float]  # of its arrival, fastest and slowest, after its own start and without holds
+    hold_s: tuple[float, ...]  # whole seconds: what it has to do there, and waits
+    window_s: tuple[float, float]  # of its arrival, fastest and slowest, after its own start and without waits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +53,12 @@ class Flier:
     delay_s: float  # it starts no earlier
     can_wait: bool  # stand still at a waypoint: no plane can
     thrifty: bool = False  # starts later rather than fly slower than its pace
+    stand_s: tuple[float, ...] = ()  # (W - 1), how long it stands still at the legs' ends anyway; default: nowhere
+
+    @property
+    def stands_s(self) -> tuple[float, ...]:
+        """How long it stands still at the end of each leg (W - 1), waiting for nobody."""
+        return self.stand_s or (0.0,) * self.legs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +131,7 @@ class _Course:
         self.flier = flier
         self.delay_s = flier.delay_s
         self.speeds = [flier.pace_m_s] * flier.legs
-        self.holds = [0.0] * flier.legs
+        self.holds = list(flier.stands_s)
 
     def reached_at(self, waypoint: int) -> float:
         """Return when a waypoint is reached, after mission start."""
@@ -155,9 +161,8 @@ class _Course:
 
     def schedule(self) -> Schedule:
         flier = self.flier
-        still = (0.0,) * flier.legs
         fast_s, slow_s = (
-            float(flier.reached_s((speed_m_s,) * flier.legs, still)[-1])
+            float(flier.reached_s((speed_m_s,) * flier.legs, flier.stands_s)[-1])
             for speed_m_s in (flier.speed_max_m_s, flier.speed_min_m_s)
         )
         return Schedule(self.delay_s, tuple(self.speeds), tuple(self.holds), (min(fast_s, slow_s), slow_s))
@@ -211,10 +216,11 @@ def _lose_time(
         course.delay_s = math.ceil(course.delay_s * 1000.0 - 1e-6) / 1000.0
         return
     if not first and flier.can_wait:
+        least_s = max(1.0, flier.stands_s[begin - 1])
         for _ in range(_HOLDS):  # stopping takes time of its own: perhaps a shorter hold is enough
             early_s = due_s - course.latest(section) - ARRIVAL_TOLERANCE_S
             # even where the least hold makes it late: then the next turn waits for it
-            course.holds[begin - 1] = max(1.0, course.holds[begin - 1] + math.ceil(early_s))
+            course.holds[begin - 1] = max(least_s, course.holds[begin - 1] + math.ceil(early_s))
             if -1.0 < early_s <= 0.0:
                 break
         return
