@@ -10,9 +10,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
-from pyproj import CRS, Transformer
+from pyproj import CRS, Geod, Transformer
 
 FloatArray = npt.NDArray[np.float64]
+
+_EARTH = Geod(ellps="WGS84")
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,3 +61,12 @@ class LocalFrame:
         """Return one position (3,) as a :class:`GeoPoint`."""
         lat_deg, lon_deg, alt_amsl_m = self.to_geo(position_m)
         return GeoPoint(float(lat_deg), float(lon_deg), float(alt_amsl_m))
+
+    def heading_deg(self, from_m: npt.ArrayLike, to_m: npt.ArrayLike) -> float:
+        """Return the course from one position (3,) to another, clockwise from true north, in [0, 360).
+
+        The frame's y axis is true north on the meridian of its origin only.
+        """
+        begin, end = self.geo_point(from_m), self.geo_point(to_m)
+        azimuth_deg, _, _ = _EARTH.inv(begin.lon_deg, begin.lat_deg, end.lon_deg, end.lat_deg)
+        return float(azimuth_deg) % 360.0 % 360.0  # twice: -1e-17 would become 360

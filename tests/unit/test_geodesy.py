@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from pyproj import CRS, Geod
+from pyproj import CRS, Geod, Proj
 
 from missionplanner.geodesy import GeoPoint, LocalFrame
 
@@ -95,3 +95,15 @@ def test_the_frames_crs_is_known_to_others() -> None:
     assert crs.is_projected
     assert crs.datum is not None
     assert crs.datum.name.startswith("World Geodetic System 1984")
+
+
+def test_courses_count_from_true_north() -> None:
+    here = FRAME.to_local(34.4, -118.0, 900.0)
+    for asked_deg in (0.0, 37.5, 180.0, 270.0, 359.9):
+        lon_deg, lat_deg, _ = ELLIPSOID.fwd(-118.0, 34.4, asked_deg, 400.0)
+        there = FRAME.to_local(lat_deg, lon_deg, 1200.0)
+        assert FRAME.heading_deg(here, there) == pytest.approx(asked_deg, abs=1e-6)
+    # the frame's own y axis is off by its convergence there, here a tenth of a degree
+    turned_deg = Proj(FRAME.crs).get_factors(-118.0, 34.4).meridian_convergence
+    assert abs(turned_deg) > 0.1
+    assert FRAME.heading_deg(here, here + [0.0, 100.0, 0.0]) == pytest.approx(turned_deg, abs=1e-4)
