@@ -131,6 +131,14 @@ def build_check_scene(mission: Mission, folder: Path, places_deg: Sequence[tuple
     return _Builder(mission, folder, places_deg).scene(with_routes=False)
 
 
+def takeoff_height_m(vehicle: mission.Vehicle, margins: Margins) -> float:
+    """Return how high above its home a vehicle takes off: as stated, or somewhat higher than it must be."""
+    if vehicle.takeoff_height_m is not None:
+        return vehicle.takeoff_height_m
+    lowest = margins.height_agl_min_m
+    return max(lowest, min(lowest + _TAKEOFF_ROOM_M, margins.height_agl_max_m))
+
+
 def portable_mission(scene: Scene) -> Mission:
     """Return the scene's mission as it reads beside ``terrain.tif``, the terrain that :func:`.write_raster` writes.
 
@@ -576,10 +584,7 @@ class _Builder:
     def _takeoff_top(
         self, vehicle: mission.Vehicle, limits: VehicleLimits, margins: Margins, home: FloatArray, after: list[_Spot]
     ) -> FloatArray:
-        height = vehicle.takeoff_height_m
-        if height is None:
-            lowest = margins.height_agl_min_m
-            height = max(lowest, min(lowest + _TAKEOFF_ROOM_M, margins.height_agl_max_m))
+        height = takeoff_height_m(vehicle, margins)
         x, y, z = home.tolist()
         if vehicle.vehicle_class == "copter":
             return np.array([x, y, z + height])
