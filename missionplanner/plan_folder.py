@@ -11,7 +11,7 @@ import json
 from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -48,6 +48,7 @@ from missionplanner.waypoints import passes
 PLAN_NAME = "plan.json"
 FLIGHT_NAME = "flight.json"
 CERTIFICATE_NAME = "certificate.json"
+INSPECTION_NAME = "inspection.json"
 FORMAT = "missionplanner-plan"
 FLIGHT_FORMAT = "missionplanner-flight"
 CERTIFICATE_FORMAT = "missionplanner-certificate"
@@ -60,19 +61,19 @@ Coordinate = Annotated[float, Field(ge=-2e5, le=2e5)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
 
 
-class _Record(BaseModel):
-    """What loading needs of ``plan.json``; the rest is there for readers."""
+class Record(BaseModel):
+    """What loading needs of a file that this program wrote; the rest is there for readers."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False)
 
 
-class _WaypointRecord(_Record):
+class _WaypointRecord(Record):
     position_m: Vector
     speed_m_s: Annotated[float, Field(gt=0)] | None = None
     hold_s: Annotated[float, Field(ge=0, le=86_400)] = 0.0
 
 
-class _VehicleRecord(_Record):
+class _VehicleRecord(Record):
     name: str
     path_m: tuple[Vector, ...] = Field(min_length=2)
     waypoints: tuple[_WaypointRecord, ...] = Field(min_length=2)
@@ -98,7 +99,7 @@ class _VehicleRecord(_Record):
         return tuple(w.speed_m_s for w in self.waypoints[1:] if w.speed_m_s is not None)
 
 
-class _ResolutionRecord(_Record):
+class _ResolutionRecord(Record):
     vehicle: str
     other: str
     t_s: float
@@ -106,7 +107,7 @@ class _ResolutionRecord(_Record):
     detail: str
 
 
-class _LatenessRecord(_Record):
+class _LatenessRecord(Record):
     t_s: tuple[float, ...]
     lateness_s: tuple[float, ...]
     arrival_s: tuple[float, ...]
@@ -117,7 +118,7 @@ class _LatenessRecord(_Record):
         return Lateness(np.array(self.t_s), np.array(self.lateness_s), np.array(self.arrival_s))
 
 
-class _FlownRecord(_Record):
+class _FlownRecord(Record):
     name: str
     sysid: int
     arrival_s: float | None
@@ -133,7 +134,7 @@ class _FlownRecord(_Record):
         return self
 
 
-class _CorrectionRecord(_Record):
+class _CorrectionRecord(Record):
     vehicle: str
     t_s: float
     from_m_s: float
@@ -142,12 +143,12 @@ class _CorrectionRecord(_Record):
     obeyed: bool
 
 
-class _MeetingRecord(_Record):
+class _MeetingRecord(Record):
     name: str
     times_s: dict[str, float | None]
 
 
-class _OrderedRecord(_Record):
+class _OrderedRecord(Record):
     vehicle: str
     order: Literal["pause", "resume", "rtl", "land"]
     t_s: float | None
@@ -155,7 +156,7 @@ class _OrderedRecord(_Record):
     words: str
 
 
-class _FlightRecord(_Record):
+class _FlightRecord(Record):
     format: Literal["missionplanner-flight"]
     version: Literal[1]
     unproven: bool = False
@@ -165,7 +166,7 @@ class _FlightRecord(_Record):
     orders: tuple[_OrderedRecord, ...] = ()
 
 
-class _CertificateRecord(_Record):
+class _CertificateRecord(Record):
     format: Literal["missionplanner-certificate"]
     version: Literal[1]
     proven: bool
@@ -173,7 +174,7 @@ class _CertificateRecord(_Record):
     mission_sha256: dict[str, str]
 
 
-class _PlanRecord(_Record):
+class _PlanRecord(Record):
     format: Literal["missionplanner-plan"]
     version: Literal[3]
     software_version: str
@@ -226,7 +227,7 @@ def planned_names(folder: Path) -> tuple[str, ...]:
     MissionError
         There is no plan, it is damaged, or of another version.
     """
-    record = _read(folder / PLAN_NAME, _PlanRecord, "plan the mission again")
+    record = read_record(folder / PLAN_NAME, _PlanRecord, "plan the mission again")
     return tuple(vehicle.name for vehicle in record.vehicles)
 
 
@@ -239,7 +240,7 @@ def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
         There is no plan, it is damaged, of another version, or does not fit its own mission or terrain.
     """
     path = folder / PLAN_NAME
-    record = _read(path, _PlanRecord, "plan the mission again")
+    record = read_record(path, _PlanRecord, "plan the mission again")
     mission = parse_mission(json.dumps(record.mission), f"{path}: mission")
     scene = build_scene(mission, folder)
     if scene.input_sha256 != record.input_sha256:
@@ -314,7 +315,7 @@ def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
     path = folder / FLIGHT_NAME
     if not path.exists():
         return None
-    record = _read(path, _FlightRecord, "fly the plan again, or delete the file")
+    record = read_record(path, _FlightRecord, "fly the plan again, or delete the file")
     if [v.name for v in record.vehicles] != [v.name for v in plan.vehicles]:
         raise MissionError(
             f"{path}: expected a flight of {', '.join(v.name for v in plan.vehicles)}, got another fleet"
@@ -361,7 +362,7 @@ def uncertified(folder: Path, fresh: Certificate) -> str | None:
     if not path.exists():
         return f"there is no {path}: check the plan"
     try:
-        stored = _read(path, _CertificateRecord, "check the plan again")
+        stored = read_record(path, _CertificateRecord, "check the plan again")
     except MissionError as error:
         return str(error)
     if stored.input_sha256 != fresh.input_sha256:
@@ -373,13 +374,25 @@ def uncertified(folder: Path, fresh: Certificate) -> str | None:
     return None
 
 
-_AnyRecord = TypeVar("_AnyRecord", bound=_Record)
+_AnyRecord = TypeVar("_AnyRecord", bound=Record)
 
 
-def _read(path: Path, kind: type[_AnyRecord], remedy: str) -> _AnyRecord:
+def read_record(path: Path, kind: type[_AnyRecord], remedy: str) -> _AnyRecord:
+    """Read what this program wrote.
+
+    Raises
+    ------
+    MissionError
+        It is not there, damaged, or of another version.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
+        if (path.parent / INSPECTION_NAME).exists():
+            raise MissionError(
+                f"{path.parent}: expected one plan, got an inspection of several rounds: name one of them, "
+                f"e.g. {path.parent / 'round-1'}"
+            ) from None
         raise MissionError(f"{path}: expected a plan folder, got none there: plan a mission first") from None
     except (OSError, UnicodeDecodeError) as error:
         raise MissionError(f"{path}: could not be read: {error}: {remedy}") from error
@@ -391,9 +404,10 @@ def _read(path: Path, kind: type[_AnyRecord], remedy: str) -> _AnyRecord:
         problem = f"{where}: {first['msg'][0].lower()}{first['msg'][1:]}"
     except (ValueError, RecursionError) as error:
         problem = f"not JSON: {error}"
+    (version,) = get_args(kind.model_fields["version"].annotation)
     raise MissionError(
-        f"{path}: expected what this program wrote (version {VERSION}), got a damaged file or another's ({problem}): "
-        f"{remedy}"
+        f"{path}: expected what this program wrote (version {version}), got a damaged file or another's "
+        f"({problem}): {remedy}"
     )
 
 
