@@ -827,6 +827,11 @@ class Mission(Model):
     planner: Planner = Planner()
 
     @property
+    def is_open(self) -> bool:
+        """Whether who inspects what is still to be found (:mod:`.inspection`)."""
+        return self.inspection is not None and self.inspection.assignment is not None
+
+    @property
     def air_m_s(self) -> tuple[float, float]:
         """The velocity of the air that flights are predicted in: east, north."""
         return (0.0, 0.0) if self.wind is None else self.wind.velocity_m_s
@@ -894,9 +899,8 @@ class Mission(Model):
 
     @model_validator(mode="after")
     def _everybody_has_something_to_do(self) -> Mission:
-        open_ = self.inspection is not None and self.inspection.assignment is not None
         for i, vehicle in enumerate(self.vehicles):
-            if open_:
+            if self.is_open:
                 for field in ("start", "stops", "inspects", "goal"):
                     if getattr(vehicle, field):
                         problem = "expected none where inspection.assignment shares out the towers: leave it out"
@@ -922,7 +926,7 @@ class Mission(Model):
 
     @model_validator(mode="after")
     def _rounds_have_no_times_of_their_own(self) -> Mission:
-        if self.inspection is None or self.inspection.assignment is None:
+        if not self.is_open:
             return self
         for field in ("rendezvous", "arrival_time_s", "arrival_utc"):
             if getattr(self.fleet, field):
