@@ -416,9 +416,10 @@ def _flown(
     ]
     reached_s: dict[int, float] = {}
     if len(seqs) == len(vehicle.waypoints_m):
-        hold_s = np.concatenate([[0.0], vehicle.hold_s])  # only when that is over is a waypoint reported
+        # only when its hold is over is a waypoint reported
+        hold_s = [items[seq].param1 if items[seq].command == WAYPOINT else 0.0 for seq in seqs]
         reached_s = {
-            k: recorder.flight_time_s(reported[seq]) - float(hold_s[k]) for k, seq in enumerate(seqs) if seq in reported
+            k: recorder.flight_time_s(reported[seq]) - hold_s[k] for k, seq in enumerate(seqs) if seq in reported
         }
     if recorder.arrival_s is not None:
         reached_s[len(vehicle.waypoints_m) - 1] = recorder.arrival_s

@@ -10,6 +10,30 @@ The two autopilots want different missions (https://mavlink.io/en/services/missi
 Planes are told what they would else take from parameters: how steeply to climb out, when the goal counts as reached (it
 would depend on the item after it), how wide to circle there.
 
+What a camera does is one item for each :class:`.Step`. Of what both autopilots know (ArduPilot 4.5's AP_Mission,
+AP_Camera and ModeAuto; PX4 1.15's mission_block, navigator_main, gimbal/input_mavlink and camera_trigger), what each
+obeys whatever gimbal and camera it has, and every ground station sends on as it is written:
+
+===================  =================================  ===============================================================
+step                 item                               rather than
+===================  =================================  ===============================================================
+aim                  DO_SET_ROI_LOCATION, AMSL          DO_GIMBAL_MANAGER_PITCHYAW: ArduPilot keeps whole degrees, PX4
+                                                        obeys only who is in control, and its flags are in param 5,
+                                                        which some ground stations scale as a latitude;
+                                                        DO_MOUNT_CONTROL: a heading of the vehicle's own
+release              DO_SET_ROI_NONE                    gimbal commands to neutral: likewise
+photos, one          IMAGE_START_CAPTURE, param 3: 1    DO_DIGICAM_CONTROL: params 5 and 6; PX4 makes it of the former
+photos in passing    IMAGE_START_CAPTURE, a second      (PX4 then asks the camera itself, not its own trigger)
+                     between them
+trigger              DO_SET_CAM_TRIGG_DIST, param 3: 1  DO_SET_CAM_TRIGG_INTERVAL: ArduPilot has none
+stand                NAV_DELAY                          a waypoint at the same place
+===================  =================================  ===============================================================
+
+A region of interest turns an ArduCopter whose gimbal cannot pan, and the gimbal of any other; it moves neither off its
+way. Both autopilots do such items when the waypoint before them is done, its hold included: ArduPilot as the next leg
+begins, one in every other turn of its main loop, PX4 one after the other before it. So what stands before a waypoint
+holds on the way to it, and a photo that nobody shall be moved or turned away from is followed by a delay.
+
 Waypoints are AMSL on both. The speed comes right after the take-off: ArduCopter lost it during the take-off until
 December 2023, and PX4 wants it in MAV_FRAME_MISSION.
 """
@@ -26,7 +50,7 @@ import numpy as np
 
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray, LocalFrame
-from missionplanner.plan import FleetPlan, VehiclePlan
+from missionplanner.plan import PHOTO_S, FleetPlan, Step, VehiclePlan
 from missionplanner.vehicle import Autopilot
 
 DEGREE_SCALE = 10_000_000
@@ -40,7 +64,12 @@ LOITER_UNLIMITED = 17
 RETURN_TO_LAUNCH = 20
 LAND = 21
 TAKEOFF = 22
+NAV_DELAY = 93
 CHANGE_SPEED = 178
+SET_ROI_LOCATION = 195
+SET_ROI_NONE = 197
+SET_TRIGGER_DISTANCE = 206
+IMAGE_START_CAPTURE = 2000
 
 _AIRSPEED, _GROUND_SPEED = 0.0, 1.0
 _THROTTLE_UNCHANGED = -1.0
@@ -126,6 +155,21 @@ def plan_items(vehicle: VehiclePlan, frame: LocalFrame) -> tuple[MissionItem, ..
     def through(item: MissionItem) -> MissionItem:
         return replace(item, z=_KEEPS_ALTITUDE_M) if ardupilot and abs(item.z) < _KEEPS_ALTITUDE_M else item
 
+    def step(done: Step) -> MissionItem:
+        match done.what:
+            case "aim":
+                return replace(at(SET_ROI_LOCATION, np.array(done.at_m)), param4=0.0)
+            case "release":
+                return MissionItem(0, FRAME_MISSION, SET_ROI_NONE)
+            case "trigger":
+                first = 1.0 if done.amount > 0.0 else 0.0  # the first photo at once
+                return MissionItem(0, FRAME_MISSION, SET_TRIGGER_DISTANCE, done.amount, param3=first)
+            case "photos":
+                between_s = PHOTO_S if done.amount > 1.0 else 0.0
+                return MissionItem(0, FRAME_MISSION, IMAGE_START_CAPTURE, 0.0, between_s, done.amount)
+            case "stand":
+                return MissionItem(0, FRAME_MISSION, NAV_DELAY, done.amount)
+
     takeoff = replace(at(TAKEOFF, top_m), param1=_CLIMB_OUT_DEG if plane else 0.0)
     if ardupilot:
         takeoff = replace(takeoff, frame=FRAME_RELATIVE, z=float(top_m[2] - vehicle.home_m[2]))
@@ -140,12 +184,17 @@ def plan_items(vehicle: VehiclePlan, frame: LocalFrame) -> tuple[MissionItem, ..
     legs: list[MissionItem] = []
     before_m_s = math.nan
     goal_accept_m = float(round(vehicle.motion.waypoint_radius_m)) if plane else accept_m
+    steps = vehicle.steps()
     for k, (waypoint_m, speed_m_s) in enumerate(zip(vehicle.waypoints_m[1:], vehicle.speeds_m_s.tolist(), strict=True)):
+        before, there = steps[k + 1]
         if speed_m_s != before_m_s:  # it holds until the next one
             legs.append(MissionItem(0, FRAME_MISSION, CHANGE_SPEED, speed_type, speed_m_s, _THROTTLE_UNCHANGED))
         before_m_s = speed_m_s
         accepted_m = goal_accept_m if k == len(vehicle.speeds_m_s) - 1 else accept_m
-        legs.append(replace(through(at(WAYPOINT, waypoint_m, accepted_m)), param1=float(vehicle.hold_s[k])))
+        later_s = sum(done.amount for done in there if done.what == "stand")
+        legs += map(step, before)
+        legs.append(replace(through(at(WAYPOINT, waypoint_m, accepted_m)), param1=float(vehicle.hold_s[k]) - later_s))
+        legs += map(step, there)
     items = [*([at(WAYPOINT, vehicle.home_m)] if ardupilot else []), takeoff, *legs, ending]
     return tuple(replace(item, seq=seq, current=int(seq == 0)) for seq, item in enumerate(items))
 

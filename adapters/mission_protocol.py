@@ -639,7 +639,7 @@ _KEPT: dict[Autopilot, dict[int, tuple[str, ...]]] = {
         mavlink.MAV_CMD_DO_SET_ROI_LOCATION: ("param1", *_PLACE),
         mavlink.MAV_CMD_DO_SET_ROI_NONE: (),
         mavlink.MAV_CMD_DO_SET_ROI: ("param1", *_PLACE),
-        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST: ("param1",),
+        mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST: ("param1", "param3"),
         mavlink.MAV_CMD_IMAGE_START_CAPTURE: ("param1", "param2", "param3"),
         mavlink.MAV_CMD_IMAGE_STOP_CAPTURE: ("param1",),
     },

@@ -22,6 +22,7 @@ from adapters.mission_items import (
     FRAME_RELATIVE,
     LAND,
     LOITER_UNLIMITED,
+    NAV_DELAY,
     RETURN_TO_LAUNCH,
     TAKEOFF,
     WAYPOINT,
@@ -40,7 +41,6 @@ from missionplanner.vehicle import Autopilot, Ending, MotionModel, VehicleClass
 LOITER_TURNS = 18
 LOITER_TIME = 19
 SPLINE_WAYPOINT = 82
-NAV_DELAY = 93
 
 Ground = Callable[[float, float], float]  # x_m, y_m -> altitude AMSL, NaN where it is not known
 

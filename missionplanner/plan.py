@@ -33,6 +33,8 @@ class Trajectory:
 PHOTO_S = 1.0
 """How long a vehicle that stands still at a place goes on doing so for each photo; whole seconds."""
 
+_FAR_M = 10_000.0
+
 
 @dataclass(frozen=True, slots=True)
 class Action:
@@ -52,6 +54,19 @@ class Action:
     def stand_s(self) -> float:
         """How long the vehicle stands still there in all: the hold, then the photos; 0: it flies through."""
         return self.hold_s + PHOTO_S * self.photos if self.hold_s > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One thing that is done between two waypoints: in a vehicle's mission, one item.
+
+    ``aim`` the camera at a place, ``release`` it to where it looks by itself, ``trigger`` a photo every so many metres
+    (0: no more), take ``photos``, ``stand`` still for so many seconds.
+    """
+
+    what: Literal["aim", "release", "trigger", "photos", "stand"]
+    amount: float = 0.0  # metres, photos or seconds
+    at_m: tuple[float, float, float] | None = None  # to aim
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +118,48 @@ class VehiclePlan:
     history: FloatArray  # (G,) best cost per iteration
     evaluations: int
     clearances: tuple[Clearance, ...]  # least to terrain, and to the nearest obstacle or fence if there is any
-    actions: Mapping[int, Action] = field(default_factory=dict)  # by waypoint
+    # by waypoint; where there is any, all stops and the goal have one, if of nothing: it holds on the whole way there
+    actions: Mapping[int, Action] = field(default_factory=dict)
+
+    def steps(self) -> tuple[tuple[tuple[Step, ...], tuple[Step, ...]], ...]:
+        """Return what is done before each waypoint (W) is flown to, and at it; nothing that is so already.
+
+        A direction to look in is a place far off that way: autopilots know places in the earth's frame, but directions
+        only in whole degrees, of the vehicle's, or not for gimbals that cannot turn (seen from half of a leg of 300 m
+        away it is within a degree).
+        """
+        steps: list[tuple[tuple[Step, ...], tuple[Step, ...]]] = [((), ())] * len(self.waypoints_m)
+        aimed: tuple[float, float, float] | None = None
+        every_m = 0.0
+        begin = 0
+        for end, action in sorted(self.actions.items()):
+            before: list[Step] = []
+            aim = self._aim(action, begin, end)
+            if aim != aimed:
+                before.append(Step("release") if aim is None else Step("aim", at_m=aim))
+            if action.photo_every_m != every_m:
+                before.append(Step("trigger", action.photo_every_m))
+            aimed, every_m = aim, action.photo_every_m
+            at = [Step("photos", float(action.photos))] if action.photos > 0 else []
+            if action.hold_s > 0.0:
+                at = [Step("photos", 1.0), Step("stand", PHOTO_S)] * action.photos
+            steps[begin + 1] = (tuple(before), steps[begin + 1][1])
+            steps[end] = (steps[end][0], tuple(at))
+            begin = end
+        return tuple(steps)
+
+    def _aim(self, action: Action, begin: int, end: int) -> tuple[float, float, float] | None:
+        """Return what is aimed at on the way between two waypoints and at the second; None: nothing."""
+        if action.look_deg is None:
+            return action.look_at_m
+        heading_rad, pitch_rad = np.radians(action.look_deg)
+        level = np.cos(pitch_rad)
+        toward = np.array([level * np.sin(heading_rad), level * np.cos(heading_rad), np.sin(pitch_rad)])
+        from_m = self.waypoints_m[end]
+        if action.photo_every_m > 0.0:
+            from_m = 0.5 * (self.waypoints_m[begin] + from_m)
+        x, y, z = np.round(from_m + _FAR_M * toward, 3).tolist()
+        return x, y, z
 
     @property
     def speed_m_s(self) -> float:

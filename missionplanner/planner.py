@@ -579,11 +579,11 @@ def _flier(scene: Scene, task: VehicleTask, path: PlannedPath, delay_s: float) -
 
 
 def waypoint_actions(task: VehicleTask, waypoints_m: FloatArray) -> dict[int, Action]:
-    """Return what a vehicle does at which of its waypoints (W, 3), and on the way to them."""
+    """Return what a vehicle does at which of its waypoints (W, 3), and on the way to them from the stop before."""
     if not task.actions:
         return {}
     stops = _stop_indices(task.route_m, waypoints_m)
-    return {stops[point]: action for point, action in sorted(task.actions.items())}
+    return {stops[point]: task.actions.get(point, Action()) for point in range(1, len(stops))}
 
 
 def stands_s(task: VehicleTask, waypoints_m: FloatArray) -> tuple[float, ...]:

@@ -179,7 +179,9 @@ def planned_sortie(scene: Scene, vehicle: VehiclePlan) -> Sortie:
     speeds_m_s = np.float32(vehicle.speeds_m_s).astype(float).tolist()
     first = 1 if vehicle.autopilot == "ardupilot" else 0  # of the take-off; a new speed comes before its leg
     changes = np.concatenate([[True], np.diff(vehicle.speeds_m_s) != 0.0])
-    seqs = [first, *(first + 1 + np.arange(len(changes)) + np.cumsum(changes)).tolist()]
+    steps = vehicle.steps()
+    between = [len(at) + len(before) for (_, at), (before, _) in pairwise(steps)]
+    seqs = [first, *(first + np.cumsum(1 + changes + np.array(between, dtype=int))).tolist()]
     legs = tuple(
         Leg(seqs[k + 1], "straight", held(waypoint_m), speeds_m_s[k], float(vehicle.hold_s[k]))
         for k, waypoint_m in enumerate(vehicle.waypoints_m[1:])
@@ -193,7 +195,7 @@ def planned_sortie(scene: Scene, vehicle: VehiclePlan) -> Sortie:
         home_m=held(vehicle.home_m) if vehicle.autopilot == "ardupilot" else vehicle.home_m,
         legs=(takeoff, *legs),
         ending=vehicle.end,
-        ending_seq=seqs[-1] + 1,
+        ending_seq=seqs[-1] + len(steps[-1][1]) + 1,
         start_delay_s=vehicle.start_delay_s,
         return_height_m=vehicle.motion.return_height_m,
     )
