@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from itertools import groupby
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.table import Table
@@ -16,6 +16,9 @@ from missionplanner.autopilot_parameters import shown
 from missionplanner.certificate import Certificate, Check, Finding
 from missionplanner.flight_check import FlightCheck
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownMeeting
+
+if TYPE_CHECKING:  # the solver takes a while to import, and plans of one round do without it
+    from missionplanner.inspection import InspectionPlan, Round
 
 
 def summarise(plan: FleetPlan, flight: FleetFlight | None = None, check: FlightCheck | None = None) -> dict[str, Any]:
@@ -305,3 +308,126 @@ def replay_lines(found: dict[str, Any]) -> list[str]:
             f"({near['required_m']:g} m required){verdict}"
         )
     return [*lines, found["start"]["told"], *found["notes"]]
+
+
+def summarise_inspection(
+    planned: InspectionPlan, flown: Sequence[tuple[FleetFlight, FlightCheck]] = ()
+) -> dict[str, Any]:
+    """Return the figures of an inspection and, of the rounds that were flown, of their flights; plain JSON values."""
+    asked = list(dict.fromkeys(visit.target for visit in planned.visits))
+    vehicles_s = [float(v.trajectory.t_s[-1]) - v.start_delay_s for r in planned.rounds for v in r.plan.vehicles]
+    return {
+        "mission": planned.scene.mission.name,
+        "seed": planned.seed,
+        "targets": len({*asked, *(left.target for left in planned.left_out)}),
+        "inspected": len(planned.inspected),
+        "done_before": sorted(planned.done),
+        "left_out": [{"target": left.target, "why": left.why} for left in planned.left_out],
+        "notes": [f"{visit.name}: {visit.note}" for visit in planned.visits if visit.note],
+        "share": round(planned.share, 4),
+        "share_min": planned.share_min,
+        "makespan_s": round(planned.makespan_s, 1),
+        "flight_time_s": round(sum(vehicles_s), 1),
+        "flight_time_bound_s": round(planned.assignment.bound_s, 1),
+        "swap_s": planned.swap_s,
+        "rounds": [
+            {
+                **summarise(r.plan, *(flown[k] if k < len(flown) else (None, None))),
+                "lasts_s": round(r.lasts_s, 1),
+                "sorties": _sorties(r),
+            }
+            for k, r in enumerate(planned.rounds)
+        ],
+        "flown_rounds": len(flown),
+    }
+
+
+def _sorties(round_: Round) -> list[dict[str, Any]]:
+    rows = []
+    tours = {round_.plan.vehicles[k].name: tour for k, tour in enumerate(round_.tours)}
+    for vehicle in round_.plan.vehicles:
+        used = [
+            f.value for f in _findings(round_.plan.certificate, "energy") if f.vehicle == vehicle.name and not f.unit
+        ]
+        rows.append(
+            {
+                "vehicle": vehicle.name,
+                "targets": list(dict.fromkeys(visit.target for visit in tours[vehicle.name].visits)),
+                "visits": [visit.name for visit in tours[vehicle.name].visits],
+                "photos": sum(action.photos for action in vehicle.actions.values()),
+                "lands_s": round(float(vehicle.trajectory.t_s[-1]), 1),
+                "battery_share": round(used[0], 4) if used and used[0] is not None else None,
+            }
+        )
+    return rows
+
+
+def inspection_table(summary: dict[str, Any]) -> Table:
+    """Return one row per sortie: who, how far and long, what it looks at, how much of the battery, least clearances."""
+    flown = summary["flown_rounds"] > 0
+    table = Table(
+        title=f"{summary['mission']}, {'flown' if flown else 'kept by proof'} (in brackets: the least allowed)",
+        box=box.SIMPLE,
+        title_justify="left",
+        padding=(0, 1),
+    )
+    table.add_column("round", justify="right")
+    table.add_column("vehicle", no_wrap=True)
+    for heading in ("targets", "photos", "length\nm", "lands\ns", *(["flown\ns"] if flown else []), "battery\n%"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for heading in ("to ground\nm", "to obstacle\nm"):
+        table.add_column(heading, no_wrap=True)
+    for number, round_ in enumerate(summary["rounds"], start=1):
+        for vehicle, sortie in zip(round_["vehicles"], round_["sorties"], strict=True):
+            was_flown = "flown_clearances" in vehicle
+            cells = [
+                str(number),
+                vehicle["name"],
+                str(len(sortie["targets"])),
+                str(sortie["photos"]),
+                f"{vehicle['length_m']:.0f}",
+                f"{sortie['lands_s']:.0f}",
+            ]
+            if flown:
+                landed_s = vehicle.get("flown_arrival_s")
+                cells.append("-" if not was_flown else "never" if landed_s is None else f"{landed_s:.0f}")
+            share = sortie["battery_share"]
+            cells.append("-" if share is None else f"{100.0 * share:.0f}")
+            clearances = vehicle["flown_clearances" if was_flown else "clearances"]
+            table.add_row(*cells, _least(clearances, "terrain"), _least(clearances, "obstacle"))
+    return table
+
+
+def inspection_lines(summary: dict[str, Any]) -> list[str]:
+    """Return the whole inspection's figures, a line each: what is left out and what is not proven above all."""
+    lines = []
+    proofs = [round_["proof"] for round_ in summary["rounds"]]
+    for number, proof in enumerate(proofs, start=1):
+        first, *rest = _proof_lines(proof)
+        lines += [f"round {number}: {first}", *rest]
+    rounds = len(summary["rounds"])
+    lines.append(
+        f"inspected: {summary['inspected']} of {summary['targets']} targets"
+        + (f", {len(summary['done_before'])} were before" if summary["done_before"] else "")
+        + f"; {summary['share']:.1%} of the towers' weight (at least {summary['share_min']:.0%})"
+    )
+    lines += [f"left out: {left['target']}: {left['why']}" for left in summary["left_out"]]
+    lines.append(
+        f"{rounds} {'round' if rounds == 1 else 'rounds'} in {_clock(summary['makespan_s'])}"
+        + (f" with {summary['swap_s']:g} s between them" if rounds > 1 else "")
+        + f"; flying {_clock(summary['flight_time_s'])} in all, no less than {_clock(summary['flight_time_bound_s'])} "
+        "is possible"
+    )
+    for number, round_ in enumerate(summary["rounds"], start=1):
+        lines += [f"round {number}: {_resolution_line(r)}" for r in round_["fleet"]["resolutions"]]
+        flown = round_["fleet"]
+        if "flown_clear" in flown:
+            near = flown["flown_separation"]
+            apart = f", least separation {_apart(near)}" if near else ""
+            lines.append(f"round {number} flown clear: {'yes' if flown['flown_clear'] else 'NO'}{apart}")
+    return lines
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s"

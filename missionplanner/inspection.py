@@ -1,0 +1,453 @@
+"""A whole inspection: an open mission becomes rounds of sorties, each an ordinary mission that is planned and proven.
+
+Views are found (:mod:`.views`), shared out among the vehicles and their sorties (:mod:`.assignment`), and every round
+is planned as a mission of its own: each vehicle from its home through the places of its tour and back. What cannot be
+planned or proven so is shared out again with less for the vehicle that it is about; two who cannot be kept apart fly
+one after the other; a target to which no way is found is left out, by name. Nothing is dropped silently, and less than
+``inspection.share_min`` is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from missionplanner import mission, planner, views, wind
+from missionplanner.assignment import Assignment, Tour, assign
+from missionplanner.errors import InfeasibleError, MissionError
+from missionplanner.mission import Area, Direction, Fleet, Inspection, Mission, Place, Point, Stop
+from missionplanner.plan import Action, FleetPlan
+from missionplanner.planner import UnprovenError, Watch
+from missionplanner.returns import UnreturnableError
+from missionplanner.scene import Scene, build_check_scene, build_scene
+from missionplanner.views import LeftOut, Viewpoint, Visit
+
+_NAME_MAX = 40
+_ATTEMPTS = 6
+_TIGHTER, _LOOSER = 0.97, 0.8
+"""Of what a tour may take of the battery, once a vehicle's was not enough: what fits by its figures, or without any."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Round:
+    """One sortie of every vehicle that has one: an ordinary mission, planned and proven."""
+
+    scene: Scene
+    plan: FleetPlan
+    tours: tuple[Tour, ...]
+
+    @property
+    def lasts_s(self) -> float:
+        """From the start until all have landed, as predicted."""
+        return max(float(vehicle.trajectory.t_s[-1]) for vehicle in self.plan.vehicles)
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """When and by whom a target is looked at, in seconds after its round's start; ``photos`` by count of stops."""
+
+    target: str
+    round: int  # from 1
+    vehicle: str
+    begins_s: float
+    ends_s: float
+    photos: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InspectionPlan:
+    """Rounds that inspect all that is not left out, nor done before."""
+
+    scene: Scene  # of the open mission: no routes
+    visits: tuple[Visit, ...]  # all that are asked for, also of what is done
+    rounds: tuple[Round, ...]
+    left_out: tuple[LeftOut, ...]
+    assignment: Assignment  # the rounds' tours, and what they were expected to take
+    done: frozenset[str]  # targets inspected before
+    seed: int
+
+    @property
+    def inspected(self) -> tuple[str, ...]:
+        """The targets that the rounds inspect, in the order of the visits."""
+        flown = {visit.target for tour in self.tours for visit in tour.visits}
+        return tuple(dict.fromkeys(visit.target for visit in self.visits if visit.target in flown))
+
+    @property
+    def tours(self) -> tuple[Tour, ...]:
+        """The tours of all rounds."""
+        return tuple(tour for round_ in self.rounds for tour in round_.tours)
+
+    @property
+    def share(self) -> float:
+        """The share of the towers' weight that is inspected, or was before (PAPER.md eq. 6)."""
+        return share(self.scene, {*self.inspected, *self.done})
+
+    @property
+    def share_min(self) -> float:
+        """The least share that must be inspected; where one sortie each is asked for, and none is stated: none."""
+        inspection, assignment = _inspection(self.scene), _assignment(self.scene)
+        stated = "share_min" in inspection.model_fields_set
+        return 0.0 if assignment.objective == "priority" and not stated else inspection.share_min
+
+    @property
+    def swap_s(self) -> float:
+        """How long batteries are changed between two rounds."""
+        return _assignment(self.scene).swap_s
+
+    @property
+    def makespan_s(self) -> float:
+        """From the first start to the last landing, with the changes of batteries between rounds."""
+        return sum(r.lasts_s for r in self.rounds) + self.swap_s * max(0, len(self.rounds) - 1)
+
+    @property
+    def planned(self) -> tuple[Planned, ...]:
+        """Who looks at what, and when: a row for each vehicle and round of a target."""
+        return tuple(row for number, round_ in enumerate(self.rounds, start=1) for row in _planned(number, round_))
+
+
+def plan_inspection(
+    question: Mission,
+    folder: Path,
+    *,
+    seed: int | None = None,
+    watch: Watch | None = None,
+    done: Collection[str] = frozenset(),
+) -> InspectionPlan:
+    """Return proven rounds of sorties that inspect what an open mission asks for; the same for the same seed.
+
+    Parameters
+    ----------
+    folder : where the mission's relative file names start
+    done : targets (towers and spans) that were inspected before
+
+    Raises
+    ------
+    MissionError
+        The mission is wrong, or shares out nothing (``inspection.assignment``).
+    InfeasibleError
+        Less than ``inspection.share_min`` can be inspected: names what is left out, and why; or a round was not
+        proven, whatever was tried.
+    """
+    scene = open_scene(question, folder)
+    wind.refuse_storm(scene.tasks)
+    told = watch or _no_watch
+    told("views", 0.0)
+    visits, without_way = views.visits(scene)
+    told("views", 1.0)
+    targets = {visit.target for visit in visits} | {left.target for left in without_way}
+    if unknown := sorted(set(done) - targets):
+        raise MissionError(f"done: expected targets of this mission, got {', '.join(unknown[:3])}: of another one?")
+    seed = scene.mission.planner.seed if seed is None else seed
+    search = _Search(scene, folder, seed, told, frozenset(done), visits, {left.target: left for left in without_way})
+    plan = search.plan()
+    _expect_share(plan)
+    return plan
+
+
+def open_scene(question: Mission, folder: Path) -> Scene:
+    """Return the scene of an open mission: terrain, obstacles, towers, and the vehicles' homes and limits.
+
+    Raises
+    ------
+    MissionError
+        As :func:`.build_check_scene`; or the mission shares out nothing.
+    """
+    if not question.is_open:
+        raise MissionError("inspection.assignment: expected this field, got none: vehicles have stops of their own")
+    return build_check_scene(question, folder, [])
+
+
+def share(scene: Scene, targets: Collection[str]) -> float:
+    """Return the share of the towers' weight that these targets are (PAPER.md eq. 6)."""
+    if scene.towers is None:
+        return 1.0
+    weights = dict(zip(scene.towers.names, scene.towers.weight.tolist(), strict=True))
+    asked = {tower.name for tower in _inspection(scene).towers if tower.views != "none"}
+    whole = sum(weight for name, weight in weights.items() if name in asked)
+    return (
+        sum(weight for name, weight in weights.items() if name in asked and name in targets) / whole if whole else 1.0
+    )
+
+
+def round_mission(scene: Scene, tours: Sequence[Tour], number: int) -> Mission:
+    """Return the ordinary mission of a round (from 1): its vehicles, each through the places of its tour and home."""
+    question = scene.mission
+    flying = {tour.vehicle: tour for tour in tours}
+    vehicles = [
+        vehicle.model_copy(update={"sysid": scene.tasks[index].sysid, "stops": stops(flying[index])})
+        for index, vehicle in enumerate(question.vehicles)
+        if index in flying
+    ]
+    west, south, east, north = scene.area_m
+    weights = question.planner.weights.model_copy(update={"inspection": 0.0})  # what is inspected is in the stops
+    inspection = _inspection(scene).model_copy(update={"assignment": None, "share_min": 0.0})
+    ending = f"-round-{number}"
+    changed = question.model_copy(
+        update={
+            "name": f"{question.name[: _NAME_MAX - len(ending)]}{ending}",
+            "description": f"{question.description} (round {number} of the inspection {question.name})".strip(),
+            "area": Area(south_west=Place(x_m=west, y_m=south), north_east=Place(x_m=east, y_m=north)),
+            "vehicles": tuple(vehicles),
+            "fleet": _fleet(question.fleet, [vehicle.name for vehicle in vehicles]),
+            "inspection": inspection,
+            "planner": question.planner.model_copy(update={"weights": weights}),
+        }
+    )
+    # as it will be read again: what was not validated yet is
+    return Mission.model_validate(changed.model_dump(mode="json", by_alias=True, exclude_unset=True))
+
+
+def stops(tour: Tour) -> tuple[Stop, ...]:
+    """Return what a vehicle's tour is in a mission file."""
+    return tuple(_stop(viewpoint) for viewpoint in _viewpoints(tour))
+
+
+def _fleet(fleet: Fleet, names: Sequence[str]) -> Fleet:
+    """Return the rules of a round: all land together only where the mission asks for it."""
+    together = fleet.arrive_together and bool({"arrive_together", "arrival_order"} & fleet.model_fields_set)
+    changes: dict[str, object] = {"arrive_together": together}
+    if fleet.arrival_order:
+        order = tuple(name for name in fleet.arrival_order if name in names)
+        changes |= {"arrival_order": order} if len(order) > 1 else {"arrival_order": (), "arrival_spacing_s": 0.0}
+    return fleet.model_copy(update=changes)
+
+
+def _viewpoints(tour: Tour) -> list[Viewpoint]:
+    return [viewpoint for visit in tour.visits for viewpoint in visit.viewpoints]
+
+
+def _stop(viewpoint: Viewpoint) -> Stop:
+    action = viewpoint.action
+    x_m, y_m, z_m = map(float, viewpoint.position_m)
+    given: dict[str, object] = {"x_m": x_m, "y_m": y_m, "alt_amsl_m": z_m}
+    if action.look_at_m is not None:
+        x_m, y_m, z_m = map(float, action.look_at_m)
+        given["look_at"] = Point(x_m=x_m, y_m=y_m, alt_amsl_m=z_m)
+    if action.look_deg is not None:
+        heading_deg, pitch_deg = map(float, action.look_deg)
+        given["look"] = Direction(heading_deg=heading_deg, pitch_deg=pitch_deg)
+    done = {
+        "name": action.name,
+        "inspects": action.inspects,
+        "hold_s": float(action.hold_s),
+        "photos": action.photos,
+        "photo_every_m": float(action.photo_every_m),
+    }
+    given |= {field: value for field, value in done.items() if value}
+    return Stop.model_validate(given)
+
+
+class _ReassignError(Exception):
+    """A round cannot be flown as it is: less is asked of somebody, or a target is left out."""
+
+
+@dataclass(slots=True)
+class _Search:
+    """The rounds while they are looked for, and what was learned on the way."""
+
+    scene: Scene
+    folder: Path
+    seed: int
+    watch: Watch
+    done: frozenset[str]
+    visits: tuple[Visit, ...]
+    left_out: dict[str, LeftOut]
+    budget: list[float] = field(init=False)
+    _known: dict[tuple[object, ...], Round] = field(init=False, default_factory=dict)
+    _problem: InfeasibleError | None = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        self.budget = [1.0 - vehicle.reserve_share for vehicle in self.scene.mission.vehicles]
+
+    def plan(self) -> InspectionPlan:
+        for _ in range(_ATTEMPTS):
+            self.watch("assignment", 0.0)
+            found = assign(
+                self.scene,
+                [v for v in self.visits if v.target not in self.done and v.target not in self.left_out],
+                seed=self.seed,
+                budget_share=self.budget,
+                done=self.done,
+            )
+            self.watch("assignment", 1.0)
+            try:
+                rounds = self._rounds(found)
+            except _ReassignError:
+                continue
+            left_out = {**{left.target: left for left in found.left_out}, **self.left_out}
+            tours = tuple(tour for round_ in rounds for tour in round_.tours)
+            return InspectionPlan(
+                scene=self.scene,
+                visits=self.visits,
+                rounds=rounds,
+                left_out=tuple(left for target, left in left_out.items() if target not in self.done),
+                assignment=replace(found, tours=tours),
+                done=self.done,
+                seed=self.seed,
+            )
+        raise InfeasibleError(f"the towers were shared out {_ATTEMPTS} times, and still: {self._problem}")
+
+    def _rounds(self, found: Assignment) -> tuple[Round, ...]:
+        rounds: list[Round] = []
+        waiting = _by_round(found.tours)
+        while waiting:
+            tours, *waiting = waiting
+            number = len(rounds) + 1
+            try:
+                rounds.append(self._round(tours, number))
+            except InfeasibleError as error:
+                stays, later = self._parted(tours, number, error)
+                waiting = [stays, later, *waiting]
+        return tuple(replace(r, tours=tuple(replace(tour, round=k) for tour in r.tours)) for k, r in enumerate(rounds))
+
+    def _round(self, tours: Sequence[Tour], number: int) -> Round:
+        key = (number, *((tour.vehicle, tuple(_signature(tour))) for tour in tours))
+        if key not in self._known:
+            self._known[key] = self._planned(tours, number)
+        return self._known[key]
+
+    def _planned(self, tours: Sequence[Tour], number: int) -> Round:
+        """Return the planned round.
+
+        Raises
+        ------
+        InfeasibleError
+            It is not safe, or not possible at all.
+        """
+
+        def watch(vehicle: str, done: float) -> None:
+            self.watch(f"{vehicle}, round {number}", done)
+
+        try:
+            scene = build_scene(round_mission(self.scene, tours, number), self.folder)
+        except MissionError as error:  # it speaks of a mission that the user has not written
+            raise InfeasibleError(f"round {number}: {error}") from error
+        return Round(scene, planner.plan_fleet(scene, seed=self.seed, watch=watch), tuple(tours))
+
+    def _parted(
+        self, tours: Sequence[Tour], number: int, error: InfeasibleError
+    ) -> tuple[tuple[Tour, ...], tuple[Tour, ...]]:
+        """Return who flies in a round that was not proven, and who flies after them: two that disturb each other.
+
+        Raises
+        ------
+        _ReassignError
+            It is about single vehicles: they get less to do, or what they cannot do is left out.
+        """
+        self._problem = error
+        if self._less_energy(tours, error):
+            raise _ReassignError
+        if len(tours) > 1:
+            alone = [(tour, self._alone(tour, number)) for tour in tours]
+            unable = [(tour, problem) for tour, problem in alone if problem is not None]
+        else:
+            unable = [(tours[0], error)]
+        for tour, problem in unable:
+            if not self._less_energy([tour], problem) and not self._without_ways(tour, number):
+                self.budget[tour.vehicle] *= _LOOSER
+        if unable:
+            raise _ReassignError
+        moves = self._disturbed(tours, error)
+        return tuple(tour for tour in tours if tour is not moves), (moves,)
+
+    def _alone(self, tour: Tour, number: int) -> InfeasibleError | None:
+        """Return why a tour cannot be flown even alone; None: it can."""
+        try:
+            self._planned([tour], number)
+        except InfeasibleError as error:
+            return error
+        return None
+
+    def _less_energy(self, tours: Sequence[Tour], error: InfeasibleError) -> bool:
+        """Let those take less of their batteries of whom too little was left; False where it is not about that."""
+        if not isinstance(error, UnprovenError):
+            return False
+        names = {self.scene.tasks[tour.vehicle].name: tour.vehicle for tour in tours}
+        short = [f for f in error.problems if f.check == "energy" and f.vehicle in names]
+        for finding in short:
+            fits = 1.0
+            if finding.value and finding.required and finding.unit == "":
+                fits = min(1.0, finding.required / finding.value)
+            self.budget[names[finding.vehicle]] *= fits * _TIGHTER
+        return bool(short)
+
+    def _without_ways(self, tour: Tour, number: int) -> bool:
+        """Leave out the targets of a tour that cannot be flown to even alone; False where there are none."""
+        vehicle = self.scene.tasks[tour.vehicle].name
+        found = False
+        for visit in tour.visits:
+            problem = self._alone(replace(tour, visits=(visit,)), number)
+            if problem is not None:
+                why = f"{visit.name}: {vehicle} cannot be shown to fly there and back: {problem}"
+                self.left_out[visit.target] = LeftOut(visit.target, why)
+                found = True
+        return found
+
+    def _disturbed(self, tours: Sequence[Tour], error: InfeasibleError) -> Tour:
+        """Return whose tour is flown later: the shorter one of the two that are named, else the shortest of all."""
+        names = [self.scene.tasks[tour.vehicle].name for tour in tours]
+        named: set[str] = set()
+        if isinstance(error, UnreturnableError):
+            named = set(error.vehicles)
+        elif isinstance(error, UnprovenError):
+            named = {name for finding in error.problems for name in finding.vehicle.split(" - ")}
+        among = [tour for tour, name in zip(tours, names, strict=True) if name in named] or list(tours)
+        return min(among, key=lambda tour: tour.time_s)
+
+
+def _by_round(tours: Sequence[Tour]) -> list[tuple[Tour, ...]]:
+    numbers = sorted({tour.round for tour in tours})
+    return [
+        tuple(sorted((t for t in tours if t.round == number and t.visits), key=lambda t: t.vehicle))
+        for number in numbers
+    ]
+
+
+def _signature(tour: Tour) -> Iterator[str]:
+    """Yield what tells a tour from another: its viewpoints' names, or places, in their order."""
+    for viewpoint in _viewpoints(tour):
+        yield f"{viewpoint.action.name} {viewpoint.position_m.tolist()}"
+
+
+def _expect_share(plan: InspectionPlan) -> None:
+    least = plan.share_min
+    nothing = not plan.rounds and not plan.done
+    if plan.share >= least - 1e-9 and not (nothing and plan.left_out):
+        return
+    told = [f"{left.target}: {left.why}" for left in plan.left_out]
+    more = f"; and {len(told) - 3} more" if len(told) > 3 else ""
+    raise InfeasibleError(
+        f"inspection.share_min: expected {least:.0%} of the towers' weight (eq. 6), got {plan.share:.1%}: left out are "
+        f"{'; '.join(told[:3])}{more}"
+    )
+
+
+def _planned(number: int, round_: Round) -> Iterator[Planned]:
+    for vehicle in round_.plan.vehicles:
+        at: dict[str, list[tuple[float, Action, float]]] = {}
+        for waypoint, action in sorted(vehicle.actions.items()):
+            if action.inspects:
+                leg_m = math.dist(vehicle.waypoints_m[waypoint], vehicle.waypoints_m[waypoint - 1]) if waypoint else 0.0
+                at.setdefault(action.inspects, []).append((float(vehicle.reached_s[waypoint]), action, leg_m))
+        for target, found in at.items():
+            photos = sum(a.photos + (int(leg_m / a.photo_every_m) if a.photo_every_m else 0) for _, a, leg_m in found)
+            times_s = [t_s for t_s, _, _ in found]
+            yield Planned(target, number, vehicle.name, min(times_s), max(times_s), photos)
+
+
+def _inspection(scene: Scene) -> Inspection:
+    inspection = scene.mission.inspection
+    assert inspection is not None
+    return inspection
+
+
+def _assignment(scene: Scene) -> mission.Assignment:
+    assignment = _inspection(scene).assignment
+    assert assignment is not None
+    return assignment
+
+
+def _no_watch(vehicle: str, done: float) -> None:
+    del vehicle, done
