@@ -26,7 +26,7 @@ else:
     # most arithmetic.
     leaf = njit(cache=True, error_model="numpy", _nrt=False)
 
-CYLINDER, CONE, RADAR, MARINE, PRISM, CABLE = range(6)
+CYLINDER, CONE, RADAR, MARINE, PRISM, CABLE, CURTAIN = range(7)
 
 # Columns of `legs_clearance`; "AT" is the place on the leg, from 0 at its first to 1 at its second point.
 HEIGHT_MIN, HEIGHT_MIN_AT, HEIGHT_MAX, HEIGHT_MAX_AT, OBSTACLE, OBSTACLE_AT, OBSTACLE_INDEX, FENCE, FENCE_AT = range(9)
@@ -80,7 +80,7 @@ class ObstacleArrays(NamedTuple):
     """All solids, packed; a row of ``params`` reads according to its kind.
 
     cylinder: x, y, radius, top; cone: x, y, base radius, base z, height; radar and marine (spheres): x, y, z, radius;
-    prism: floor, top, 1 if convex; cable (capsule): x, y, z of both ends, radius.
+    prism: floor, top, 1 if convex; cable (capsule) and curtain (all below one): x, y, z of both ends, radius.
     """
 
     kind: npt.NDArray[np.int64]  # (O,)
@@ -222,6 +222,36 @@ def _cone(rho: float, up: float, radius: float, height: float) -> float:
 
 
 @leaf
+def curtain_frame(p: FloatArray, i: int, x: float, y: float) -> tuple[float, float, float]:
+    """Return a place beside curtain ``i`` seen from above: along it from its start, to its right; and its length."""
+    ex = p[i, 3] - p[i, 0]
+    ey = p[i, 4] - p[i, 1]
+    length = math.sqrt(ex * ex + ey * ey)
+    dx = x - p[i, 0]
+    dy = y - p[i, 1]
+    return (dx * ex + dy * ey) / length, (dx * ey - dy * ex) / length, length
+
+
+@leaf
+def off_curtain(along: float, up: float, length: float, rise: float) -> tuple[float, float]:
+    """Return how far, along and up, a place in the plane of a curtain is from it; both 0 in it.
+
+    The curtain hangs from the origin and from ``length`` along and ``rise`` up, without end.
+    """
+    if 0.0 <= along <= length and up * length <= rise * along:
+        return 0.0, 0.0
+    s = min(1.0, max(0.0, (along * length + up * rise) / (length * length + rise * rise)))
+    off_along = along - s * length
+    off_up = up - s * rise
+    if along < 0.0 or along > length:
+        beyond = along if along < 0.0 else along - length
+        above = max(0.0, up if along < 0.0 else up - rise)
+        if beyond * beyond + above * above < off_along * off_along + off_up * off_up:
+            return beyond, above
+    return off_along, off_up
+
+
+@leaf
 def obstacle_distance(o: ObstacleArrays, i: int, x: float, y: float, z: float) -> float:
     """Return the exact signed distance from a point to solid ``i``, negative inside; 1-Lipschitz."""
     p = o.params
@@ -231,6 +261,11 @@ def obstacle_distance(o: ObstacleArrays, i: int, x: float, y: float, z: float) -
         return _extruded(across, max(p[i, 0] - z, z - p[i, 1]))
     dx: float = x - p[i, 0]
     dy: float = y - p[i, 1]
+    if kind == CURTAIN:
+        along, aside, length = curtain_frame(p, i, x, y)
+        off_along, off_up = off_curtain(along, z - p[i, 2], length, p[i, 5] - p[i, 2])
+        curtain_radius: float = p[i, 6]
+        return math.sqrt(aside * aside + off_along * off_along + off_up * off_up) - curtain_radius
     if kind == CABLE:
         dz = z - p[i, 2]
         ex = p[i, 3] - p[i, 0]
@@ -409,6 +444,24 @@ def _least_lipschitz(
 
 
 @leaf
+def _beside_curtain(o: ObstacleArrays, i: int, reach: float, a: FloatArray, b: FloatArray) -> bool:
+    """Whether the leg a-b is seen to stay beyond ``reach`` of curtain ``i``: to one side, past an end or above it."""
+    p = o.params
+    far: float = reach + p[i, 6]
+    along_a, aside_a, length = curtain_frame(p, i, a[0], a[1])
+    along_b, aside_b, _ = curtain_frame(p, i, b[0], b[1])
+    if min(aside_a, aside_b) >= far or max(aside_a, aside_b) <= -far:
+        return True
+    if min(along_a, along_b) >= length + far or max(along_a, along_b) <= -far:
+        return True
+    rise = p[i, 5] - p[i, 2]
+    above_a = (a[2] - p[i, 2]) * length - along_a * rise
+    above_b = (b[2] - p[i, 2]) * length - along_b * rise
+    over: bool = min(above_a, above_b) >= far * math.sqrt(length * length + rise * rise)
+    return over
+
+
+@leaf
 def _leg_solid(
     o: ObstacleArrays, i: int, leg: FloatArray, length: float, best: float, refuse: float
 ) -> tuple[float, float]:
@@ -425,6 +478,8 @@ def _leg_solid(
     if not o.hard[i] or reach < 0.0 or wx * wx + wy * wy >= reach * reach:
         return np.inf, s
     if min(leg[0, 2], leg[1, 2]) - o.bound[i, 4] >= best or o.bound[i, 3] - max(leg[0, 2], leg[1, 2]) >= best:
+        return np.inf, s
+    if o.kind[i] == CURTAIN and _beside_curtain(o, i, best, leg[0], leg[1]):  # its circle is much wider than it is
         return np.inf, s
     if o.kind[i] == PRISM and o.params[i, 2] == 0.0:
         return _least_lipschitz(o, i, leg, length, best, refuse)
@@ -810,6 +865,18 @@ def _beside_cable(o: ObstacleArrays, i: int, reach: float, a: FloatArray, b: Flo
 
 
 @leaf
+def beside_line(o: ObstacleArrays, i: int, reach: float, a: FloatArray, b: FloatArray) -> bool:
+    """Return whether the piece a-b stays beyond ``reach`` of a cable or curtain; False of other solids.
+
+    Along a line one flies beside its conductors, or over them, just out of reach: this spares many short steps.
+    """
+    if o.kind[i] == CABLE:
+        return _beside_cable(o, i, reach, a, b)
+    beside: bool = o.kind[i] == CURTAIN and _beside_curtain(o, i, reach, a, b)
+    return beside
+
+
+@leaf
 def _depth_integral(
     path: FloatArray, hop: FloatArray, first: int, last: int, space: SpaceArrays, i: int, reach: float, step: float
 ) -> float:
@@ -820,7 +887,6 @@ def _depth_integral(
     """
     solid = i < space.obstacles.kind.shape[0]
     squared = solid and not space.obstacles.hard[i]
-    cable = solid and space.obstacles.kind[i] == CABLE
     total = 0.0
     skip = 0.0  # metres of path without depth, from sample k on
     before = 0.0  # length of the piece before the point
@@ -829,8 +895,7 @@ def _depth_integral(
         if skip > 0.0 and skip >= ahead:
             skip -= ahead
             continue
-        # along a line one flies beside its conductors, just out of reach: closed form instead of many short steps
-        if cable and k < last and _beside_cable(space.obstacles, i, reach, path[k], path[k + 1]):
+        if solid and k < last and beside_line(space.obstacles, i, reach, path[k], path[k + 1]):
             skip = 0.0
             continue
         pieces = max(1, math.ceil(ahead / step))

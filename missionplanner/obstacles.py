@@ -76,7 +76,20 @@ class CableSolid:
     radius_m: float
 
 
-Solid = CylinderSolid | ConeSolid | SphereSolid | PrismSolid | CableSolid
+@dataclass(frozen=True, slots=True, eq=False)
+class CurtainSolid:
+    """A sloping cable and all below it, without end: within ``radius_m`` of the plane from ``start`` to ``end`` (3,).
+
+    Its top is round, as a cable.
+    """
+
+    name: str
+    start: FloatArray
+    end: FloatArray
+    radius_m: float
+
+
+Solid = CylinderSolid | ConeSolid | SphereSolid | PrismSolid | CableSolid | CurtainSolid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -223,12 +236,16 @@ def _row(solid: Solid) -> tuple[int, tuple[float, ...], tuple[float, float, floa
             reach_m = float(np.hypot(outline[:, 0] - x, outline[:, 1] - y).max())
             row = (floor_amsl_m, top_amsl_m, float(_is_convex(outline)))
             return kernels.PRISM, row, (x, y, reach_m, floor_amsl_m, top_amsl_m)
-        case CableSolid(name, start, end, radius_m):
+        case CableSolid(name, start, end, radius_m) | CurtainSolid(name, start, end, radius_m):
             _check(name, "radius_m", radius_m)
             x, y = (0.5 * float(start[k] + end[k]) for k in (0, 1))
-            reach_m = 0.5 * math.hypot(end[0] - start[0], end[1] - start[1]) + radius_m
+            across_m = math.hypot(end[0] - start[0], end[1] - start[1])
             low, high = sorted((float(start[2]), float(end[2])))
-            return kernels.CABLE, (*start, *end, radius_m), (x, y, reach_m, low - radius_m, high + radius_m)
+            kind, lowest = kernels.CABLE, low - radius_m
+            if isinstance(solid, CurtainSolid):
+                _check(name, "ends that are apart seen from above", across_m)
+                kind, lowest = kernels.CURTAIN, -math.inf
+            return kind, (*start, *end, radius_m), (x, y, 0.5 * across_m + radius_m, lowest, high + radius_m)
 
 
 _PAIRS = 1 << 16

@@ -222,6 +222,16 @@ def obstacle_slope(o: ObstacleArrays, i: int, x: float, y: float, z: float) -> t
         above = z - p[i, 1]
         d, by_across, by_along = _extruded_slope(across, max(below, above))
         return d, by_across * ax, by_across * ay, by_along if above >= below else -by_along
+    if kind == kernels.CURTAIN:
+        along, aside, length = kernels.curtain_frame(p, i, x, y)
+        off_along, off_up = kernels.off_curtain(along, z - p[i, 2], length, p[i, 5] - p[i, 2])
+        away = math.sqrt(aside * aside + off_along * off_along + off_up * off_up)
+        ux = (p[i, 3] - p[i, 0]) / length
+        uy = (p[i, 4] - p[i, 1]) / length
+        if away == 0.0:  # in its middle: to either side
+            return -p[i, 6], uy, -ux, 0.0
+        gx, gy = off_along * ux + aside * uy, off_along * uy - aside * ux
+        return away - p[i, 6], gx / away, gy / away, off_up / away
     dx = x - p[i, 0]
     dy = y - p[i, 1]
     dz = z - p[i, 2]
@@ -490,7 +500,6 @@ def _depth(
     o = space.obstacles
     solid = i < o.kind.shape[0]
     squared = solid and not o.hard[i]
-    cable = solid and o.kind[i] == kernels.CABLE
     total = 0.0
     skip = 0.0
     for k in range(first, last + 1):
@@ -498,7 +507,7 @@ def _depth(
         if skip > 0.0 and skip >= ahead:
             skip -= ahead
             continue
-        if cable and k < last and kernels._beside_cable(o, i, reach + widest, path[k], path[k + 1]):
+        if solid and k < last and kernels.beside_line(o, i, reach + widest, path[k], path[k + 1]):
             skip = 0.0
             continue
         pieces = max(1, math.ceil(ahead / step))

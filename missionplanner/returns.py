@@ -41,6 +41,7 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import (
     CABLE,
     CONE,
+    CURTAIN,
     CYLINDER,
     PRISM,
     ObstacleArrays,
@@ -743,6 +744,41 @@ def _to_outline(o: ObstacleArrays, i: int, corners: FloatArray) -> float:
 
 
 @kernel
+def _over_curtain(row: FloatArray, corners: FloatArray, wide: float, low: float, enough: float) -> float:
+    """Return :func:`_solid_distance` for a curtain: its distance from a place grows with height, so that of the lowest.
+
+    Its top is halved until known: a piece of it is as far to the side as the nearest, below as the highest of it.
+    """
+    line = np.empty((3, 3))
+    part = np.empty((_STACK, 2))
+    part[0, 0] = 0.0
+    part[0, 1] = 1.0
+    depth = 1
+    proven = enough
+    while depth > 0:
+        depth -= 1
+        first, last = part[depth, 0], part[depth, 1]
+        for axis in range(3):
+            line[0, axis] = row[axis] + first * (row[3 + axis] - row[axis])
+            line[1, axis] = row[axis] + last * (row[3 + axis] - row[axis])
+            line[2, axis] = line[1, axis]
+        beneath = max(0.0, low - max(line[0, 2], line[1, 2]))
+        aside = max(0.0, _across(corners, line) - wide)
+        bound = math.hypot(aside, beneath) - row[6]
+        if bound >= proven:
+            continue
+        most = math.hypot(aside, max(0.0, low - min(line[0, 2], line[1, 2]))) - row[6]
+        if most - bound <= 0.5 * _TOLERANCE_M or depth + 2 > _STACK:
+            proven = bound
+            continue
+        middle = 0.5 * (first + last)
+        part[depth, 0], part[depth, 1] = first, middle
+        part[depth + 1, 0], part[depth + 1, 1] = middle, last
+        depth += 2
+    return proven
+
+
+@kernel
 def _solid_distance(
     o: ObstacleArrays, i: int, corners: FloatArray, wide: float, low: float, high: float, enough: float
 ) -> float:
@@ -752,6 +788,8 @@ def _solid_distance(
     """
     p = o.params
     kind = o.kind[i]
+    if kind == CURTAIN:
+        return _over_curtain(p[i], corners, wide, low, enough)
     if kind == CABLE:
         line = np.empty((3, 3))
         line[0], line[1], line[2] = p[i, :3], p[i, 3:6], p[i, 3:6]

@@ -31,6 +31,8 @@ _FREE = (0.0, 0.0, 1.0)  # of a point without a ring, and of the ends
 _ROUNDING = 1e-9
 _POINTS = 3000
 _CIRCLES = 3000
+_SAME_PLACE_M = 0.1
+_BEND = 0.02  # rad: where curtains turn less, a leg past them costs next to nothing more than a string
 
 
 class _Queue(NamedTuple):
@@ -298,10 +300,14 @@ def _rings(
 
 
 def _circles(o: ObstacleArrays) -> tuple[npt.NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
-    """Return the solid, place and radius of circles that a taut string may touch: at a prism those of its corners."""
+    """Return the solid, place and radius of circles that a taut string may touch.
+
+    At a prism those of its corners, at curtains those of the ends and bends of their line.
+    """
     prism = o.kind == kernels.PRISM
-    round_ = np.flatnonzero(o.hard & ~prism)
-    owners, circles = [round_], [o.bound[round_, :3]]
+    round_ = np.flatnonzero(o.hard & ~prism & (o.kind != kernels.CURTAIN))
+    bends, around_bends = _bends(o)
+    owners, circles = [round_, bends], [o.bound[round_, :3], around_bends]
     for i in np.flatnonzero(o.hard & prism):
         at = o.vertices[o.vertex_start[i] : o.vertex_start[i + 1]]
         before, after = at - np.roll(at, 1, axis=0), np.roll(at, -1, axis=0) - at
@@ -314,9 +320,27 @@ def _circles(o: ObstacleArrays) -> tuple[npt.NDArray[np.intp], FloatArray, Float
     return np.concatenate(owners), x, y, radius_m
 
 
+def _bends(o: ObstacleArrays) -> tuple[npt.NDArray[np.intp], FloatArray]:
+    """Return the curtain and the circle (N, 3) of every end of a curtain that no other goes on from straight ahead."""
+    owner = np.flatnonzero(o.hard & (o.kind == kernels.CURTAIN))
+    if not len(owner):
+        return owner, np.empty((0, 3))
+    start, end, radius_m = o.params[owner, :2], o.params[owner, 3:5], o.params[owner, 6]
+    course = (end - start) / np.maximum(np.linalg.norm(end - start, axis=1), 1e-9)[:, np.newaxis]
+    owner, at, away = np.tile(owner, 2), np.concatenate([start, end]), np.concatenate([-course, course])
+    _, first, place = np.unique(np.rint(at / _SAME_PLACE_M), axis=0, return_index=True, return_inverse=True)
+    place = place.reshape(-1)
+    count = np.bincount(place, minlength=len(first))
+    turn = np.zeros((len(first), 2))
+    np.add.at(turn, place, away)
+    straight = (count == 2) & (np.linalg.norm(turn, axis=1) < _BEND)
+    bends = first[~straight]
+    return owner[bends], np.column_stack([at[bends], np.tile(radius_m, 2)[bends]])
+
+
 def _is_filled(o: ObstacleArrays, i: int, x: FloatArray, y: FloatArray, margin_m: float) -> bool:
-    """Return whether there is no way through between two corners of a prism, given by their x and y."""
-    if o.params[i, 2]:  # convex
+    """Return whether there is no way through between two corners of a prism, or ends of a curtain, of these x and y."""
+    if o.kind[i] != kernels.PRISM or o.params[i, 2]:  # convex
         return True
     middle_m = kernels.polygon_distance(o.vertices, o.vertex_start[i], o.vertex_start[i + 1], x.mean(), y.mean())
     return bool(middle_m < margin_m)

@@ -400,7 +400,12 @@ def _altitudes(problem: _Problem, corners: FloatArray, ground_low: float, ground
 def _tops_amsl_m(o: kernels.ObstacleArrays) -> FloatArray:
     p, kind = o.params, o.kind
     return np.select(
-        [kind == kernels.CYLINDER, kind == kernels.CONE, kind == kernels.PRISM, kind == kernels.CABLE],
+        [
+            kind == kernels.CYLINDER,
+            kind == kernels.CONE,
+            kind == kernels.PRISM,
+            (kind == kernels.CABLE) | (kind == kernels.CURTAIN),
+        ],
         [p[:, 3], p[:, 3] + p[:, 4], p[:, 1], np.maximum(p[:, 2], p[:, 5]) + p[:, 6]],
         p[:, 2] + p[:, 3],
     )
@@ -616,6 +621,7 @@ _NEAR = 0.25  # of the section's length: an obstacle this near may be passed on 
 _LONGEST = 1.5  # times the shortest: longer ways around are not worth a guess
 _SHORT_ENOUGH = 1.003  # times the least any path can be: one guess is asked for, and this is it
 _SAMPLES = 65
+_LEANING = 0.5  # how much upwards it is away from a curtain that is passed above, not beside
 
 
 def _resample(path: FloatArray) -> FloatArray:
@@ -651,7 +657,8 @@ def _walls_at(problem: _Problem, path: FloatArray) -> list[FloatArray]:
     for n, direction in zip(passed, away, strict=True):
         # The wall holds the solid's axis, or a path could pass it over there before the obstacle and be out of it here.
         axis = np.array([0.0, 0.0, 1.0])
-        if o.kind[hard[n]] == kernels.CABLE:
+        over = o.kind[hard[n]] == kernels.CURTAIN and direction[2] > _LEANING
+        if over or o.kind[hard[n]] == kernels.CABLE:
             axis = _unit(o.params[hard[n], 3:6] - o.params[hard[n], :3])
         along = np.cross(axis, direction)
         if abs(along @ _unit(course[nearest[n]])) < 0.1:

@@ -22,14 +22,14 @@ from numba import njit
 from pyproj import CRS, Transformer
 
 from missionplanner.geodesy import FloatArray
-from missionplanner.obstacles import CableSolid, ConeSolid, CylinderSolid, PrismSolid, Solid, SphereSolid
+from missionplanner.obstacles import CableSolid, ConeSolid, CurtainSolid, CylinderSolid, PrismSolid, Solid, SphereSolid
 
 _kernel = njit(cache=True, error_model="numpy")
 
 ToCell = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
 """Local x and y (...) to rows and columns (...)."""
 
-_CYLINDER, _CONE, _SPHERE, _PRISM, _CABLE = range(5)
+_CYLINDER, _CONE, _SPHERE, _PRISM, _CABLE, _CURTAIN = range(6)
 
 # Columns of a leg's samples.
 LOWEST, HIGHEST, OBSTACLE, FENCE, COUNT = range(5)
@@ -118,6 +118,8 @@ def solids_of(solids: Sequence[Solid], fence: FloatArray, fence_top: float, area
                 kind, row, outline = _PRISM, (floor, top), np.asarray(xy, dtype=np.float64)
             case CableSolid(_, start, end, radius):
                 kind, row = _CABLE, (*start, *end, radius)
+            case CurtainSolid(_, start, end, radius):
+                kind, row = _CURTAIN, (*start, *end, radius)
         kinds.append(kind)
         numbers.append((*row, *[0.0] * (7 - len(row))))
         corners.append(outline)
@@ -234,6 +236,14 @@ def _on_outline(corners: FloatArray, first: int, last: int, x: float, y: float) 
 
 
 @_kernel
+def _off_plumb(v: FloatArray, s: float, x: float, y: float, z: float) -> float:
+    """Return how far a point is from all that is straight below one place of a cable."""
+    dx, dy = x - v[0] - s * (v[3] - v[0]), y - v[1] - s * (v[4] - v[1])
+    dz = max(0.0, z - v[2] - s * (v[5] - v[2]))
+    return math.sqrt(dx * dx + dy * dy + dz * dz)
+
+
+@_kernel
 def _closest(w: Solids, i: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Return the distance to a solid, -1 inside, and its closest point."""
     v = w.numbers[i]
@@ -254,6 +264,21 @@ def _closest(w: Solids, i: int, x: float, y: float, z: float) -> tuple[float, fl
         if d <= v[6]:
             return -1.0, x, y, z
         share = v[6] / d
+        qx, qy, qz = cx + share * (x - cx), cy + share * (y - cy), cz + share * (z - cz)
+    elif kind == _CURTAIN:  # what hangs from one place of the cable: its distance is convex along the cable
+        low, high = 0.0, 1.0
+        for _ in range(100):
+            one, other = low + (high - low) / 3.0, high - (high - low) / 3.0
+            if _off_plumb(v, one, x, y, z) > _off_plumb(v, other, x, y, z):
+                low = one
+            else:
+                high = other
+        s = 0.5 * (low + high)
+        d = _off_plumb(v, s, x, y, z)
+        if d <= v[6]:
+            return -1.0, x, y, z
+        share = v[6] / d
+        cx, cy, cz = v[0] + s * (v[3] - v[0]), v[1] + s * (v[4] - v[1]), min(z, v[2] + s * (v[5] - v[2]))
         qx, qy, qz = cx + share * (x - cx), cy + share * (y - cy), cz + share * (z - cz)
     elif kind == _PRISM:
         within = _within(w.corners, w.first[i], w.first[i + 1], x, y)

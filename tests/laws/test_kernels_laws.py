@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from missionplanner import kernels
 from missionplanner.kernels import SpaceArrays, TerrainArrays
-from missionplanner.obstacles import CableSolid, ConeSolid, CylinderSolid, PrismSolid, SphereSolid, pack
+from missionplanner.obstacles import CableSolid, ConeSolid, CurtainSolid, CylinderSolid, PrismSolid, SphereSolid, pack
 from tests.oracles.price import solid_distance, terrain_heights
 
 laws = settings(deadline=None, max_examples=100)
@@ -39,6 +39,9 @@ solid = st.one_of(
     ).filter(lambda p: p.floor_amsl_m < p.top_amsl_m),
     st.builds(CableSolid, st.just("w"), point, point, st.floats(0.01, 20.0)).filter(
         lambda w: math.dist(w.start, w.end) > 0.5  # no mission has a shorter one
+    ),
+    st.builds(CurtainSolid, st.just("l"), point, point, st.floats(0.01, 20.0)).filter(
+        lambda w: math.dist(w.start[:2], w.end[:2]) > 0.5
     ),
 )
 

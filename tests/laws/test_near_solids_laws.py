@@ -14,7 +14,16 @@ from missionplanner.cost import Price
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import ObstacleArrays, ObstacleGrid, SpaceArrays, TerrainArrays
 from missionplanner.mission import Weights
-from missionplanner.obstacles import CableSolid, ConeSolid, CylinderSolid, PrismSolid, Solid, SphereSolid, pack
+from missionplanner.obstacles import (
+    CableSolid,
+    ConeSolid,
+    CurtainSolid,
+    CylinderSolid,
+    PrismSolid,
+    Solid,
+    SphereSolid,
+    pack,
+)
 from tests.limits import limits
 
 LIMITS = limits(terrain_margin_m=18.0, obstacle_margin_m=8.0, height_agl_max_m=400.0)
@@ -47,7 +56,8 @@ def solids(rng: np.random.Generator, count: int, size_m: float, *, bent: bool) -
                 )
             case _:
                 start = np.array([x, y, top])
-                found.append(CableSolid(name, start, start + rng.uniform(-150.0, 150.0, 3) * [1, 1, 0.1], 1.0))
+                hung = CableSolid if int(rng.integers(0, 2)) else CurtainSolid
+                found.append(hung(name, start, start + rng.uniform(-150.0, 150.0, 3) * [1, 1, 0.1], 1.0))
     return pack(found).arrays
 
 

@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from missionplanner.errors import InfeasibleError
-from missionplanner.obstacles import CableSolid, CylinderSolid, PrismSolid, Solid, SphereSolid
+from missionplanner.obstacles import CableSolid, CurtainSolid, CylinderSolid, PrismSolid, Solid, SphereSolid
 from missionplanner.returns import Returning, choose_return_heights, prove_returns
 from tests.returning import REACH_M, flight, ground, space_of
 
@@ -34,6 +34,9 @@ def solids(rng: np.random.Generator) -> list[Solid]:
         SphereSolid("radar", *place(), rng.uniform(90.0, 120.0), rng.uniform(10.0, 60.0), "radar"),
         PrismSolid("camp", corner + np.array([[0, 0], [60, 5], [30, 30], [5, 70]]), -np.inf, rng.uniform(110.0, 190.0)),
         CableSolid("cable", np.array([*start, 120.0]), np.array([*end, 135.0]), 1.0),
+        CurtainSolid(
+            "span", np.array([*place(), rng.uniform(90, 150)]), np.array([*place(), rng.uniform(90, 150)]), 3.0
+        ),
     ]
 
 
@@ -88,6 +91,15 @@ def distance_m(solid: Solid, p: np.ndarray) -> np.ndarray:
             along = solid.end - solid.start
             s = np.clip((p - solid.start) @ along / (along @ along), 0.0, 1.0)
             return np.linalg.norm(p - solid.start - s[:, None] * along, axis=1) - solid.radius_m
+        case CurtainSolid():  # what hangs from one place of the cable is as far as that, or level with p; convex in s
+            low, high = np.zeros(len(p)), np.ones(len(p))
+            for _ in range(20):
+                s = np.stack([low + (high - low) / 3.0, high - (high - low) / 3.0])
+                off = p - solid.start - s[..., None] * (solid.end - solid.start)
+                off[..., 2] = np.maximum(off[..., 2], 0.0)
+                far = np.linalg.norm(off, axis=2)
+                low, high = np.where(far[0] > far[1], s[0], low), np.where(far[0] > far[1], high, s[1])
+            return far.min(axis=0) - solid.radius_m
         case PrismSolid():
             edges = list(zip(solid.xy, np.roll(solid.xy, -1, axis=0), strict=True))
             legs = np.min(

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from missionplanner.errors import InfeasibleError
 from missionplanner.kernels import obstacle_distances, terrain_heights
-from missionplanner.obstacles import CableSolid, CylinderSolid, PrismSolid, Solid, SphereSolid
+from missionplanner.obstacles import CableSolid, CurtainSolid, CylinderSolid, PrismSolid, Solid, SphereSolid
 from missionplanner.seeds import first_guesses
 from tests.unit.test_seeds import box, ground, length_m, limits, space
 
@@ -29,6 +29,10 @@ solid = st.one_of(
         lambda x, y, z, u, v, w: CableSolid("cable", np.array([x, y, z]), np.array([u, v, w]), 1.0),
         *(near, near, st.floats(20, 200), near, near, st.floats(20, 200)),
     ),
+    st.builds(
+        lambda x, y, z, u, v, w: CurtainSolid("span", np.array([x, y, z]), np.array([u, v, w]), 3.0),
+        *(near, near, st.floats(20, 100), near, near, st.floats(20, 100)),
+    ).filter(lambda span: math.dist(span.start[:2], span.end[:2]) > 1.0),
 )
 hills = st.builds(
     lambda height, phase: height * np.sin(np.linspace(0, 30, 241) + phase)[:, None] * np.cos(np.linspace(0, 25, 241)),

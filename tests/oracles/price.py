@@ -14,7 +14,17 @@ import numpy.typing as npt
 from missionplanner.clearance import Margins
 from missionplanner.cost import TERMS
 from missionplanner.geodesy import FloatArray
-from missionplanner.kernels import CABLE, CONE, CYLINDER, MARINE, PRISM, ObstacleArrays, SpaceArrays, TerrainArrays
+from missionplanner.kernels import (
+    CABLE,
+    CONE,
+    CURTAIN,
+    CYLINDER,
+    MARINE,
+    PRISM,
+    ObstacleArrays,
+    SpaceArrays,
+    TerrainArrays,
+)
 from missionplanner.vehicle import VehicleLimits
 
 
@@ -74,6 +84,14 @@ def solid_distance(o: ObstacleArrays, i: int, points: FloatArray) -> FloatArray:
     p = o.params[i]
     if o.kind[i] == CABLE:
         return segment_distance(points, p[0:3], p[3:6]) - p[6]
+    if o.kind[i] == CURTAIN:  # a polygon in its own plane, as deep as no point is, thickened
+        length = np.linalg.norm(p[3:5] - p[0:2])
+        along = (points[..., :2] - p[:2]) @ (p[3:5] - p[0:2]) / length
+        aside = np.linalg.norm(points[..., :2] - p[:2] - along[..., None] * (p[3:5] - p[0:2]) / length, axis=-1)
+        bottom = min(p[2], p[5], float(points[..., 2].min())) - 1e4
+        outline = np.array([[0.0, p[2]], [length, p[5]], [length, bottom], [0.0, bottom]])
+        off = polygon_distance(np.stack([along, points[..., 2]], axis=-1), outline)
+        return np.hypot(np.maximum(off, 0.0), aside) - p[6]
     if o.kind[i] == PRISM:
         across = polygon_distance(points[..., :2], o.vertices[o.vertex_start[i] : o.vertex_start[i + 1]])
         along = np.maximum(p[0] - points[..., 2], points[..., 2] - p[1])

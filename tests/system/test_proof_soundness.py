@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from missionplanner.experiments import proof, proof_oracle, proof_trials, proof_worlds
-from missionplanner.obstacles import CableSolid, ConeSolid, CylinderSolid, PrismSolid, Solid, SphereSolid, pack
+from missionplanner.obstacles import (
+    CableSolid,
+    ConeSolid,
+    CurtainSolid,
+    CylinderSolid,
+    PrismSolid,
+    Solid,
+    SphereSolid,
+    pack,
+)
 from tests.oracles import surface
 
 MISSION = Path(__file__).parents[2] / "missions" / "ridge_line.yaml"
@@ -63,6 +72,7 @@ NOTCHED = np.array([[0.0, 0.0], [60.0, 0.0], [60.0, 50.0], [30.0, 10.0], [0.0, 5
         SphereSolid("s", 10.0, 20.0, 30.0, 25.0, "marine"),
         PrismSolid("s", NOTCHED, 10.0, 40.0),
         CableSolid("s", np.array([-40.0, 0.0, 20.0]), np.array([50.0, 30.0, 60.0]), 4.0),
+        CurtainSolid("s", np.array([-40.0, 0.0, 20.0]), np.array([50.0, 30.0, 60.0]), 4.0),
     ],
 )
 def test_the_oracles_distances_are_those_of_points_on_the_solid(solid: Solid) -> None:

@@ -8,7 +8,17 @@ import pytest
 from missionplanner import obstacles
 from missionplanner.errors import MissionError
 from missionplanner.kernels import nearest_hard
-from missionplanner.obstacles import CableSolid, ConeSolid, CylinderSolid, PrismSolid, SphereSolid, join, pack
+from missionplanner.obstacles import (
+    CableSolid,
+    ConeSolid,
+    CurtainSolid,
+    CylinderSolid,
+    PrismSolid,
+    SphereSolid,
+    beneath,
+    join,
+    pack,
+)
 
 SQUARE = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
 ARROW = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [5.0, 2.0], [0.0, 10.0]])
@@ -44,6 +54,16 @@ GOLDEN = [
     (CableSolid("w", np.zeros(3), np.array([10.0, 0, 0]), 1), (13, 0, 4), 4.0),
     (CableSolid("w", np.zeros(3), np.array([10.0, 0, 0]), 1), (5, 0, 0), -1.0),
     (CableSolid("w", np.zeros(3), np.zeros(3), 1), (0, 0, 3), 2.0),
+    # from (0, 0, 0) up to (40, 0, 30): 3-4-5 again
+    (CurtainSolid("l", np.zeros(3), np.array([40.0, 0, 30]), 1), (20, 5, -1e6), 4.0),
+    (CurtainSolid("l", np.zeros(3), np.array([40.0, 0, 30]), 1), (20, 0, 10), -1.0),
+    (CurtainSolid("l", np.zeros(3), np.array([40.0, 0, 30]), 1), (20 - 3, 0, 15 + 4), 4.0),
+    (CurtainSolid("l", np.zeros(3), np.array([40.0, 0, 30]), 1), (-12, 5, -7), 12.0),
+    (CurtainSolid("l", np.zeros(3), np.array([40.0, 0, 30]), 1), (-3, 0, 4), 4.0),
+    (CurtainSolid("l", np.zeros(3), np.array([40.0, 0, 30]), 1), (-6, 0, 8), 9.0),
+    (CurtainSolid("l", np.zeros(3), np.array([40.0, 0, 30]), 1), (43, -4, 42), 12.0),
+    (CurtainSolid("l", np.array([40.0, 0, 30]), np.zeros(3), 1), (43, 0, 10), 2.0),
+    (CurtainSolid("l", np.zeros(3), np.array([40.0, 0, 30]), 1), (55, 20, 29), 24.0),
 ]
 
 
@@ -83,6 +103,12 @@ def test_only_soft_radar_zones_are_not_hard():
     assert packed.arrays.hard.tolist() == [True, False]
 
 
+def test_nothing_hangs_in_the_air_below_a_curtain():
+    span, cable = (kind("w", np.zeros(3), np.array([40.0, 0, 30]), 1) for kind in (CurtainSolid, CableSolid))
+    assert not beneath(pack([span]))
+    assert beneath(pack([cable]))
+
+
 def test_join_keeps_every_solid():
     first = [PrismSolid("p", SQUARE), CylinderSolid("c", 50, 0, 5)]
     second = [SphereSolid("s", 0, 0, 0, 3, "marine"), PrismSolid("q", ARROW + 100.0)]
@@ -104,6 +130,8 @@ def test_join_keeps_every_solid():
         (ConeSolid("hill", 0, 0, 10, 0, 0), "hill: expected height_m > 0"),
         (SphereSolid("radar", 0, 0, math.nan, 10, "radar"), "radar: expected numbers"),
         (CableSolid("wire", np.zeros(3), np.array([math.nan, 0, 0]), 1), "wire: expected numbers"),
+        (CurtainSolid("span", np.zeros(3), np.array([0, 0, 9.0]), 1), "span: expected ends that are apart .* got 0"),
+        (CurtainSolid("span", np.zeros(3), np.array([math.inf, 0, 9.0]), 1), "span: expected numbers"),
         (PrismSolid("zone", SQUARE[:2]), "zone: expected a polygon of at least 3"),
         (PrismSolid("zone", SQUARE[[0, 2, 1, 3]]), "zone: .* edges 1 and 3 crossing"),
         (PrismSolid("zone", SQUARE[[0, 1, 0, 3]]), "zone: "),
