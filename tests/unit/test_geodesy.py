@@ -106,4 +106,4 @@ def test_courses_count_from_true_north() -> None:
     # the frame's own y axis is off by its convergence there, here a tenth of a degree
     turned_deg = Proj(FRAME.crs).get_factors(-118.0, 34.4).meridian_convergence
     assert abs(turned_deg) > 0.1
-    assert FRAME.heading_deg(here, here + [0.0, 100.0, 0.0]) == pytest.approx(turned_deg, abs=1e-4)
+    assert FRAME.heading_deg(here, here + np.array([0.0, 100.0, 0.0])) == pytest.approx(turned_deg, abs=1e-4)
