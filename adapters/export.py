@@ -20,9 +20,6 @@ from missionplanner.plan import FleetPlan, VehiclePlan
 DEFAULT_FORMATS = ("plan", "waypoints", "kml", "geojson")
 FORMATS = (*DEFAULT_FORMATS, "dji", "litchi")
 
-OWN_SUFFIXES = frozenset({".plan", ".waypoints", ".kmz", ".csv"})
-"""Of files that somebody could fly."""
-
 
 @dataclass(frozen=True, slots=True)
 class ExportOptions:
@@ -90,6 +87,11 @@ def export_remarks(plan: FleetPlan, options: ExportOptions) -> list[str]:
     if "litchi" in options.formats:
         told += litchi.remarks(plan)
     return told
+
+
+def flyable(path: Path) -> bool:
+    """Return whether a file's name is that of one that somebody could fly, were it left from an earlier plan."""
+    return path.suffix in {".plan", ".waypoints", ".kmz"} or (path.suffix == ".csv" and "-litchi" in path.stem)
 
 
 def _mission_file(plan: FleetPlan, vehicle: VehiclePlan, _: ExportOptions) -> dict[str, str | bytes]:

@@ -28,6 +28,7 @@ from missionplanner.terminal import Told, print_json, progress_bars, stderr, std
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
     from adapters.certificates import Held
     from adapters.endpoint import Endpoint
+    from adapters.export import ExportOptions
     from adapters.fleet_flight import Request
     from adapters.fleet_link import Clock, FleetLink
     from adapters.sitl import SitlFleet
@@ -202,22 +203,32 @@ def check(
 
 
 @app.command()
-def export(folder: PlanFolder, output: Output = None, as_json: AsJson = False) -> None:
-    """Write .plan, .waypoints, KML and GeoJSON of a plan that is proven (default: FOLDER/files)."""
-    from adapters.certificates import certify_plan
-    from adapters.export import export_fleet
-    from missionplanner.plan_folder import load_plan
+def export(
+    folder: PlanFolder,
+    output: Output = None,
+    formats: Annotated[
+        str,
+        typer.Option(
+            "--format", metavar="FORMAT[,FORMAT...]", help="of plan, waypoints, kml, geojson, dji (WPML), litchi (CSV)"
+        ),
+    ] = "plan,waypoints,kml,geojson",
+    dji_aircraft: Annotated[
+        str, typer.Option(metavar="NAME", help="that DJI routes are for, with its camera, e.g. m30t, m3e, m300-h20")
+    ] = "m350-h20t",
+    as_json: AsJson = False,
+) -> None:
+    """Write files of a plan that is proven, for ground stations, maps and other apps (default: FOLDER/files)."""
+    from adapters.export import export_options
 
-    scene, fleet_plan = load_plan(folder)
-    certificate = certify_plan(scene, fleet_plan)
-    if not certificate.proven:
-        raise InfeasibleError(f"{folder}: not proven: {certificate.refusal}; nothing was written")
-    paths = export_fleet(fleet_plan, output or folder / FILES)
+    options = export_options(formats, dji_aircraft)
+    paths, remarks = _export(folder, output or folder / FILES, options)
     if as_json:
-        print_json({"files": [str(path) for path in paths]})
-    else:
-        for path in paths:
-            stdout.print(str(path), soft_wrap=True, highlight=False)
+        print_json({"files": [str(path) for path in paths], "remarks": remarks})
+        return
+    for path in paths:
+        stdout.print(str(path), soft_wrap=True, highlight=False)
+    for remark in remarks:
+        _warn(remark)
 
 
 @app.command()
@@ -1235,7 +1246,7 @@ def _default_folder(scene: Scene) -> Path:
 def _plan(scene: Scene, folder: Path, seed: int | None, within_s: float | None = None) -> FleetPlan:
     """Plan with progress bars, and write the plan, its certificate and its files."""
     from adapters.certificates import certify_plan
-    from adapters.export import export_fleet
+    from adapters.export import export_fleet, flyable
     from missionplanner.files import ensure_writable
     from missionplanner.plan_folder import PLAN_NAME, save_certificate, save_plan
     from missionplanner.planner import plan_fleet
@@ -1265,9 +1276,22 @@ def _plan(scene: Scene, folder: Path, seed: int | None, within_s: float | None =
         raise InfeasibleError(f"{folder}: not proven as exported: {certificate.refusal}")
     written = set(export_fleet(fleet_plan, folder / FILES))
     for path in (folder / FILES).iterdir():
-        if again and path.suffix in {".plan", ".waypoints"} and path not in written:
+        if again and flyable(path) and path not in written:
             path.unlink()  # of an earlier plan: nobody shall upload it by mistake
     return replace(fleet_plan, certificate=certificate)
+
+
+def _export(folder: Path, target: Path, options: ExportOptions) -> tuple[list[Path], list[str]]:
+    """Write a plan folder's files and return their paths, and what who flies them must know."""
+    from adapters.certificates import certify_plan
+    from adapters.export import export_fleet, export_remarks
+    from missionplanner.plan_folder import load_plan
+
+    scene, fleet_plan = load_plan(folder)
+    certificate = certify_plan(scene, fleet_plan)
+    if not certificate.proven:
+        raise InfeasibleError(f"{folder}: not proven: {certificate.refusal}; nothing was written")
+    return export_fleet(fleet_plan, target, options), export_remarks(fleet_plan, options)
 
 
 def _load_proven(folder: Path, *, unproven: bool) -> tuple[Scene, FleetPlan]:
