@@ -11,7 +11,7 @@ import logging
 import math
 import sys
 import time
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.progress import Progress, TaskID
 
-from missionplanner import experiment_commands
+from missionplanner import experiment_commands, inspection_commands
 from missionplanner.errors import InfeasibleError, LinkError, MissionError, MissionPlannerError
 from missionplanner.terminal import Told, print_json, progress_bars, stderr, stdout
 
@@ -34,6 +34,8 @@ if TYPE_CHECKING:  # the planner takes a second to import: commands that do with
     from adapters.sitl import SitlFleet
     from missionplanner.certificate import Certificate
     from missionplanner.flight_check import FlightCheck
+    from missionplanner.inspection import InspectionPlan
+    from missionplanner.inspection_commands import FlownRound
     from missionplanner.mission import Mission
     from missionplanner.plan import FleetFlight, FleetPlan, Ordered
     from missionplanner.planner import Watch
@@ -49,6 +51,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(experiment_commands.app, name="experiment")
+app.command()(inspection_commands.cameras)
 FILES, LOGS, SITL = "files", "logs", "sitl"
 _BUSY = (
     "expected a plan folder that nobody else uses, got one in which another plan, upload or fly is at work: wait for "
@@ -117,7 +120,11 @@ def main() -> None:
 @app.command()
 def validate(mission: MissionFile, as_json: AsJson = False) -> None:
     """Check a mission file, its terrain and places, without planning."""
-    scene = _scene(mission)
+    question = _question(mission)
+    if question.is_open:
+        inspection_commands.validate(question, mission, as_json)
+        return
+    scene = _scene_of(question, mission)
     if as_json:
         print_json({"mission": scene.mission.name, "vehicles": [t.name for t in scene.tasks], "valid": True})
     else:
@@ -138,13 +145,38 @@ def plan(
         float | None,
         typer.Option(metavar="SECONDS", min=0.001, help="improve paths for so long; plans then differ from run to run"),
     ] = None,
+    flown: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FOLDER|TLOG[,...]",
+            help="of an inspection: plan only what the flights in these folders or logs did not see",
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Plan a mission, prove it, and write plan.json, certificate.json and the files for ground stations."""
+    """Plan a mission, prove it, and write plan.json, certificate.json and the files for ground stations.
+
+    Of an inspection whose towers are to be shared out, every round of sorties is planned so, in a folder of its own.
+    """
     from missionplanner.files import alone, ensure_writable
 
-    scene = _scene(mission, algorithm)
-    folder = output or _default_folder(scene)
+    question = _question(mission, algorithm)
+    if question.is_open:
+        if within is not None:
+            raise MissionError("--within: expected with a mission whose vehicles have their stops, got an inspection")
+        logs = [Path(part) for part in (flown or "").split(",") if part]
+        folder = output or _default_folder(question, "_rest" if logs else "")
+        inspection_commands.plan(
+            question, mission, folder, seed=seed, flown=logs, busy=_BUSY, write=_write, as_json=as_json
+        )
+        return
+    if flown is not None:
+        raise MissionError(
+            "--flown: expected with an inspection whose towers are to be shared out (inspection.assignment); a plan of "
+            "one round goes on with the command resume"
+        )
+    scene = _scene_of(question, mission)
+    folder = output or _default_folder(question)
     ensure_writable(folder)
     with alone(folder, _BUSY):
         fleet_plan = _plan(scene, folder, seed, within)
@@ -179,6 +211,11 @@ def check(
             )
         if output is not None:
             raise MissionError("--output: expected with --mission; a plan folder's certificate and report stay in it")
+        if inspection_commands.is_inspection(targets[0]):
+            problems = inspection_commands.check(targets[0], _check_folder, as_json)
+            if problems:
+                raise _verdict(f"not proven: {'; '.join(problems)}")
+            return
         certificate, paths = _check_folder(targets[0])
     elif connect is not None:
         if targets or repair:
@@ -221,7 +258,10 @@ def export(
     from adapters.export import export_options
 
     options = export_options(formats, dji_aircraft)
-    paths, remarks = _export(folder, output or folder / FILES, options)
+    if inspection_commands.is_inspection(folder):
+        paths, remarks = inspection_commands.export(folder, lambda at, to: _export(at, to, options), output)
+    else:
+        paths, remarks = _export(folder, output or folder / FILES, options)
     if as_json:
         print_json({"files": [str(path) for path in paths], "remarks": remarks})
         return
@@ -338,6 +378,7 @@ def upload(
 ) -> None:
     """Upload a plan that is proven, read it back, prove what the vehicles hold; nothing is armed."""
     _expect_no_backup(backup)
+    inspection_commands.refuse_whole(target, "upload")
     with (
         _proven_plan(target, output, seed, unproven=unproven) as (scene, fleet_plan, folder),
         _ground_station(scene, fleet_plan, folder, connect, None, signing_key, unproven=unproven) as link,
@@ -435,7 +476,8 @@ def fly(
     programs = sitl_programs(sitl) if sitl else None
     wind_m_s, late_s = _sim_wind(sim_wind), _sim_late(sim_late or [])
     _expect_no_backup(backup)
-    with _proven_plan(target, output, seed, unproven=unproven) as (scene, fleet_plan, folder):
+
+    def fly_round(folder: Path, scene: Scene, fleet_plan: FleetPlan, late_s: Mapping[str, float]) -> FlownRound:
         simulators = None
         if programs is not None:
             ground, pace = scene.terrain.height_amsl_m, 1.0 if speedup is None else speedup
@@ -443,7 +485,7 @@ def fly(
                 fleet_plan, programs, folder / SITL, speedup=pace, ground=ground, wind_m_s=wind_m_s, tell=_warn
             )
         vehicles = planned_vehicles(fleet_plan, wind_m_s=wind_m_s, late_s=late_s)
-        correct = fleet_plan.mission.fleet.correction != "off" if correct is None else correct
+        corrected = fleet_plan.mission.fleet.correction != "off" if correct is None else correct
         if connect is not None:
             _clock_start(fleet_plan, datetime.now(UTC))
         with _ground_station(
@@ -455,7 +497,7 @@ def fly(
             _save_backup(link, backup)
             _transfer(link, scene, fleet_plan, unproven=unproven)
             try:
-                keeps = pacer(scene, fleet_plan, correct=correct)
+                keeps = pacer(scene, fleet_plan, correct=corrected)
                 simulated = connect is None
 
                 def start_s(tell: Callable[[str], None]) -> float | None:
@@ -471,14 +513,37 @@ def fly(
         check = check_flight(scene, fleet_plan, flight)
         with stderr.status("writing the report"):
             report_path = write_report(folder, scene, fleet_plan, flight)
-        _show(fleet_plan, folder, as_json, flight, check, report_path)
+        return inspection_commands.FlownRound(flight, check, report_path)
+
+    if _is_inspection(target):
+        if connect is not None:
+            inspection_commands.refuse_whole(target, "fly")
+            raise MissionError(
+                f"{target}: with --connect an inspection is flown a round at a time: plan it (missionplanner plan "
+                f"{target}), then fly its folder's round-1 --connect {connect}, and so on"
+            )
+        with _proven_inspection(target, output, seed, unproven=unproven) as (planned, folder):
+            inspection_commands.expect_vehicles("--sim-late", late_s, planned)
+
+            def fly_on(at: Path, scene: Scene, fleet_plan: FleetPlan) -> FlownRound:
+                own_s = {v.name: late_s[v.name] for v in fleet_plan.vehicles if v.name in late_s}
+                return fly_round(at, scene, fleet_plan, own_s)
+
+            problems = inspection_commands.fly(folder, planned, fly_on, as_json)
+        if problems:
+            raise _verdict(f"{folder}: {'; '.join(problems)}")
+        return
+    with _proven_plan(target, output, seed, unproven=unproven) as (scene, fleet_plan, folder):
+        flown = fly_round(folder, scene, fleet_plan, late_s)
+        flight, report_path = flown.flight, flown.report
+        _show(fleet_plan, folder, as_json, flight, flown.check, report_path)
         told = {
             o.vehicle: f" (told to {o.order})" for o in flight.orders if o.result != "refused" and o.order != "resume"
         }
         missing = [v.name + told.get(v.name, "") for v in flight.vehicles if v.arrival_s is None]
         if missing:
             raise _verdict(f"{folder}: {', '.join(missing)} never reached the goal: see {report_path}")
-        if not check.ok:
+        if not flown.check.ok:
             raise _verdict(f"{folder}: the flight did not keep every clearance: see {report_path}")
 
 
@@ -526,10 +591,10 @@ def _proven_plan(
     """
     from missionplanner.files import alone, ensure_writable
 
-    if target.is_dir() and (output is not None or seed is not None):
-        raise MissionError(f"{target}: is a plan already: --output and --seed go with a mission file")
+    if target.is_dir():
+        _expect_no_planning(target, output, seed)
     scene = None if target.is_dir() else _scene(target)
-    folder = target if scene is None else output or _default_folder(scene)
+    folder = target if scene is None else output or _default_folder(scene.mission)
     if scene is not None:
         ensure_writable(folder)
     with alone(folder, _BUSY):
@@ -537,6 +602,40 @@ def _proven_plan(
             yield *_load_proven(folder, unproven=unproven), folder
         else:
             yield scene, _plan(scene, folder, seed), folder
+
+
+def _is_inspection(target: Path) -> bool:
+    """Return whether a folder or mission file is an inspection of several rounds."""
+    return inspection_commands.is_inspection(target) if target.is_dir() else _question(target).is_open
+
+
+@contextmanager
+def _proven_inspection(
+    target: Path, output: Path | None, seed: int | None, *, unproven: bool
+) -> Iterator[tuple[InspectionPlan, Path]]:
+    """Yield an inspection, of a folder or of a mission file, which is planned first; no other gets it, nor a round."""
+    from missionplanner.inspection_folder import load_inspection
+
+    if target.is_dir():
+        _expect_no_planning(target, output, seed)
+        with inspection_commands.alone_in(target, _BUSY):
+            planned = load_inspection(target)
+
+            def certified(at: Path, scene: Scene, fleet_plan: FleetPlan) -> FleetPlan:
+                return _certified(at, scene, fleet_plan, unproven=unproven)
+
+            yield inspection_commands.with_plans(planned, target, certified), target
+        return
+    question = _question(target)
+    folder = output or _default_folder(question)
+    with inspection_commands.alone_in(folder, _BUSY):
+        planned = inspection_commands.plan_into(question, target, folder, seed=seed, done=frozenset(), write=_write)
+        yield planned, folder
+
+
+def _expect_no_planning(folder: Path, output: Path | None, seed: int | None) -> None:
+    if output is not None or seed is not None:
+        raise MissionError(f"{folder}: is a plan already: --output and --seed go with a mission file")
 
 
 @contextmanager
@@ -1223,8 +1322,12 @@ def _resolved(path: Path) -> Mission:
         raise MissionError(f"{path}: {error}") from error
 
 
-def _scene(path: Path, algorithm: str | None = None) -> Scene:
-    from missionplanner.scene import build_scene
+def _scene(path: Path) -> Scene:
+    return _scene_of(_question(path), path)
+
+
+def _question(path: Path, algorithm: str | None = None) -> Mission:
+    """Load a mission file to be planned, perhaps by another algorithm than it says."""
     from missionplanner.search.registry import find_algorithm
 
     mission = _mission(path)
@@ -1234,21 +1337,28 @@ def _scene(path: Path, algorithm: str | None = None) -> Scene:
         mission = mission.model_copy(update={"planner": settings})
     try:
         find_algorithm(mission.planner.algorithm)
-        return build_scene(mission, path.parent)
+    except MissionError as error:
+        raise MissionError(f"{path}: {error}") from error
+    return mission
+
+
+def _scene_of(question: Mission, path: Path) -> Scene:
+    from missionplanner.scene import build_scene
+
+    try:
+        return build_scene(question, path.parent)
     except MissionError as error:
         raise MissionError(f"{path}: {error}") from error
 
 
-def _default_folder(scene: Scene) -> Path:
-    return Path("out") / scene.mission.name
+def _default_folder(question: Mission, ending: str = "") -> Path:
+    return Path("out") / f"{question.name}{ending}"
 
 
 def _plan(scene: Scene, folder: Path, seed: int | None, within_s: float | None = None) -> FleetPlan:
     """Plan with progress bars, and write the plan, its certificate and its files."""
-    from adapters.certificates import certify_plan
-    from adapters.export import export_fleet, flyable
     from missionplanner.files import ensure_writable
-    from missionplanner.plan_folder import PLAN_NAME, save_certificate, save_plan
+    from missionplanner.plan_folder import INSPECTION_NAME
     from missionplanner.planner import plan_fleet
     from missionplanner.warmup import begin
 
@@ -1268,6 +1378,16 @@ def _plan(scene: Scene, folder: Path, seed: int | None, within_s: float | None =
 
         fleet_plan = plan_fleet(scene, seed=seed, watch=watch, seconds=within_s, clock=time.perf_counter)
     _clock_start(fleet_plan, datetime.now(UTC))
+    (folder / INSPECTION_NAME).unlink(missing_ok=True)  # an earlier one, of which this is not a round
+    return _write(folder, scene, fleet_plan)
+
+
+def _write(folder: Path, scene: Scene, fleet_plan: FleetPlan) -> FleetPlan:
+    """Write a plan, its certificate and its files for ground stations; return it with what was proven of those."""
+    from adapters.certificates import certify_plan
+    from adapters.export import export_fleet, flyable
+    from missionplanner.plan_folder import PLAN_NAME, save_certificate, save_plan
+
     again = (folder / PLAN_NAME).exists()
     save_plan(folder, scene, fleet_plan)
     certificate = certify_plan(scene, fleet_plan)
@@ -1299,17 +1419,23 @@ def _load_proven(folder: Path, *, unproven: bool) -> tuple[Scene, FleetPlan]:
 
     Nor may its files for ground stations say anything else. With ``unproven`` all is let through, in red.
     """
-    from adapters.certificates import certify_folder
-    from missionplanner.plan_folder import load_plan, uncertified
+    from missionplanner.plan_folder import load_plan
 
     scene, fleet_plan = load_plan(folder)
+    return scene, _certified(folder, scene, fleet_plan, unproven=unproven)
+
+
+def _certified(folder: Path, scene: Scene, fleet_plan: FleetPlan, *, unproven: bool) -> FleetPlan:
+    from adapters.certificates import certify_folder
+    from missionplanner.plan_folder import uncertified
+
     certificate = certify_folder(scene, fleet_plan, folder / FILES)
     problem = uncertified(folder, certificate)
     if problem is not None and unproven:
         _tell_unproven(problem)
     elif problem is not None:
         raise InfeasibleError(f"{folder}: {problem}; nothing was sent")
-    return scene, replace(fleet_plan, certificate=certificate)
+    return replace(fleet_plan, certificate=certificate)
 
 
 def _tell_unproven(problem: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -61,14 +61,19 @@ def plan(
     *,
     seed: int | None,
     flown: Sequence[Path],
+    busy: str,
     write: WritePlan,
     as_json: bool,
 ) -> None:
     """Plan an open mission into a folder: all its rounds; of what logs show as inspected, nothing."""
-    done: frozenset[str] = frozenset()
-    if flown:
-        done = _seen_before(question, path, flown)
-    planned = plan_into(question, path, folder, seed=seed, done=done, write=write)
+    from missionplanner.files import ensure_writable
+
+    if any(folder.resolve() == other.resolve() for other in flown):
+        raise MissionError(f"--output: expected another folder than {folder}, whose flights are read: choose one")
+    done = _seen_before(question, path, flown) if flown else frozenset()
+    ensure_writable(folder)
+    with alone_in(folder, busy):
+        planned = plan_into(question, path, folder, seed=seed, done=done, write=write)
     if planned.rounds:
         show(planned, folder, as_json)
         return
@@ -85,12 +90,10 @@ def plan_into(
     question: Mission, path: Path, folder: Path, *, seed: int | None, done: frozenset[str], write: WritePlan
 ) -> InspectionPlan:
     """Plan, with progress bars, and write everything; nothing is written where nothing is left to be done."""
-    from missionplanner.files import ensure_writable
     from missionplanner.inspection import plan_inspection
     from missionplanner.inspection_folder import save_inspection
     from missionplanner.warmup import begin
 
-    ensure_writable(folder)
     compiling = begin()
     if compiling is not None:
         print("first run: compiling the kernels takes a minute, once", file=sys.stderr)
@@ -192,16 +195,32 @@ def check(folder: Path, check_round: Callable[[Path], tuple[Certificate, dict[st
     return [f"{at}: {certificate.refusal}" for at, certificate, _ in rows if not certificate.proven]
 
 
-def export(folder: Path, export_round: Callable[[Path, Path], Sequence[Path]], output: Path | None) -> list[Path]:
-    """Write every round's files, by ``export_round``, to its own folder or below ``output``; return their paths."""
+def export(
+    folder: Path, export_round: Callable[[Path, Path], tuple[Sequence[Path], Sequence[str]]], output: Path | None
+) -> tuple[list[Path], list[str]]:
+    """Write every round's files, by ``export_round``, to its own folder or below ``output``; return paths, remarks."""
     from missionplanner.inspection_folder import load_inspection, round_folder
 
     planned = load_inspection(folder)
     written: list[Path] = []
+    told: dict[str, None] = {}
     for number in range(1, len(planned.rounds) + 1):
         at = round_folder(folder, number)
-        written += export_round(at, at / "files" if output is None else output / at.name)
-    return written
+        paths, remarks = export_round(at, at / "files" if output is None else output / at.name)
+        written += paths
+        told |= dict.fromkeys(remarks)
+    return written, list(told)
+
+
+def with_plans(planned: InspectionPlan, folder: Path, change: WritePlan) -> InspectionPlan:
+    """Return the inspection with ``change`` made to every round's plan."""
+    from missionplanner.inspection_folder import round_folder
+
+    rounds = [
+        replace(r, plan=change(round_folder(folder, number), r.scene, r.plan))
+        for number, r in enumerate(planned.rounds, start=1)
+    ]
+    return replace(planned, rounds=tuple(rounds))
 
 
 # --- flying ----------------------------------------------------------------------------------------------------------
@@ -214,6 +233,19 @@ class FlownRound:
     flight: FleetFlight
     check: FlightCheck
     report: Path
+
+
+def expect_vehicles(option: str, names: Iterable[str], planned: InspectionPlan) -> None:
+    """Refuse names of no vehicle that flies in an inspection.
+
+    Raises
+    ------
+    MissionError
+        There is one.
+    """
+    flying = {vehicle.name for round_ in planned.rounds for vehicle in round_.plan.vehicles}
+    if unknown := sorted(set(names) - flying):
+        raise MissionError(f"{option}: expected names of vehicles ({', '.join(sorted(flying))}), got {unknown[0]}")
 
 
 def fly(
