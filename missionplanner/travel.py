@@ -23,7 +23,6 @@ from scipy.spatial import KDTree
 from missionplanner import energy, kernels, timing, wind
 from missionplanner.clearance import Margins
 from missionplanner.energy import EnergyModel
-from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import ObstacleArrays, SpaceArrays, kernel, leaf, terrain_height
 from missionplanner.motion import Navigator, Route
@@ -281,22 +280,26 @@ def _over(o: ObstacleArrays, i: int, x: float, y: float, z: float, margin_m: flo
         if z <= p[i, 0] - margin_m:
             return -np.inf
         across = kernels.polygon_distance(o.vertices, o.vertex_start[i], o.vertex_start[i + 1], x, y)
-        return p[i, 1] + margin_m if across < near_m else -np.inf
+        over: float = p[i, 1] + margin_m if across < near_m else -np.inf
+        return over
     dx: float = x - p[i, 0]
     dy: float = y - p[i, 1]
     if kind == kernels.CYLINDER:
-        return p[i, 3] + margin_m if math.sqrt(dx * dx + dy * dy) - p[i, 2] < near_m else -np.inf
+        above: float = p[i, 3] + margin_m if math.sqrt(dx * dx + dy * dy) - p[i, 2] < near_m else -np.inf
+        return above
     if kind == kernels.CONE:
         rho = math.sqrt(dx * dx + dy * dy) - margin_m
         if rho >= p[i, 2]:
             return -np.inf
-        return p[i, 3] + margin_m + p[i, 4] * min(1.0, 1.0 - rho / p[i, 2])
+        slope: float = p[i, 3] + margin_m + p[i, 4] * min(1.0, 1.0 - rho / p[i, 2])
+        return slope
     if kind == kernels.RADAR or kind == kernels.MARINE:  # noqa: PLR1714  (numba)
         reach = p[i, 3] + margin_m
         rest = reach * reach - dx * dx - dy * dy
         if rest <= 0.0 or z <= p[i, 2] - math.sqrt(rest):
             return -np.inf
-        return p[i, 2] + math.sqrt(rest)
+        dome: float = p[i, 2] + math.sqrt(rest)
+        return dome
     ex = p[i, 3] - p[i, 0]
     ey = p[i, 4] - p[i, 1]
     ee = ex * ex + ey * ey
@@ -676,7 +679,8 @@ def _home_shares(
     points = np.array([viewpoint.position_m for form in forms for viewpoint in form.viewpoints]).reshape(-1, 3)
     home_m = flier.task.home_m
     begins = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp)
-    homes = np.broadcast_to(home_m + [0.0, 0.0, flier.margins.height_agl_min_m], points.shape)
+    lowest = np.array([0.0, 0.0, flier.margins.height_agl_min_m])
+    homes = np.broadcast_to(home_m + lowest, points.shape)
     highest = _ways(scene.space, flier.rules, points, np.ascontiguousarray(homes))[:, _HIGHEST_M]
     stated = scene.mission.vehicles[_index(scene, flier)].return_height_m
     height = np.where(np.isfinite(highest), highest - home_m[2], flier.margins.height_agl_min_m)

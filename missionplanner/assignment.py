@@ -1,0 +1,702 @@
+"""Who inspects what, in which order, on which sortie: team orienteering with batteries (PAPER.md eqs 6 and 15).
+
+Costs are :mod:`.travel`'s. The search is PyVRP's iterated local search (https://pyvrp.org): visits are its clients,
+visits that may be flown backwards a choice between two of them, flight time is its duration, the battery its distance.
+It starts from the better of two simple ways to share out the work, and what it finds counts only where it is better.
+
+A *round* is one sortie of every vehicle that has one; the next begins when all have landed and batteries are changed.
+So a vehicle flies its longest sortie first, and what counts is the sum over rounds of the longest sortie.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+import pyvrp
+from pyvrp.stop import FirstFeasible, MaxIterations, MultipleCriteria, StoppingCriterion
+from scipy.optimize import linear_sum_assignment
+
+from missionplanner import mission
+from missionplanner.errors import MissionError
+from missionplanner.geodesy import FloatArray
+from missionplanner.scene import Scene
+from missionplanner.travel import TravelCosts, travel_costs
+from missionplanner.views import LeftOut, Visit
+
+Objective = Literal["makespan", "priority", "balanced"]
+Way = Literal["split", "nearest"]
+"""Simple ways to share out the work: equal parts along the lines; every vehicle in turn the nearest."""
+
+_TICK_S, _SHARE = 0.1, 1e-6  # the solver counts in whole ones of these
+_BLOCKED = 10**8  # of either, longer than any way
+_OVERTIME = 20  # how many seconds of flight one is worth that a tour is too long
+_SHORTER = (0.97, 0.985, 0.995)  # of its longest tours, what is tried next
+_PRIZE_S = 3000.0  # what a target of mean weight is worth: more than any way to it
+_ORDERS = 4  # ways to fly the visits of one target one after the other
+_SAME = 1e-9
+_REFINEMENTS = 4
+_EVEN_S = 10.0  # flight times that differ by less are equal
+_MEND = 0.995
+_MENDS = 6
+_DISTURBED = 3  # targets that are taken out together
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tour:
+    """One sortie: from home through visits and back."""
+
+    vehicle: int  # index of the scene's tasks
+    round: int  # from 0
+    visits: tuple[Visit, ...]  # as they are flown
+    time_s: float  # from start to landing
+    energy_share: float  # of the battery: in all, or on returning from wherever that takes most
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assignment:
+    """Tours that inspect all that is not left out."""
+
+    tours: tuple[Tour, ...]  # by round, then by vehicle
+    left_out: tuple[LeftOut, ...]
+    makespan_s: float  # from the first start to the last landing, changes of batteries included
+    bound_s: float  # no tours through the same visits take less flight time in all
+
+    @property
+    def flight_s(self) -> float:
+        """The flight time of all tours."""
+        return sum(tour.time_s for tour in self.tours)
+
+    @property
+    def rounds(self) -> int:
+        """How many rounds there are."""
+        return 1 + max((tour.round for tour in self.tours), default=-1)
+
+
+def assign(
+    scene: Scene,
+    visits: Sequence[Visit],
+    *,
+    seed: int,
+    budget_share: Sequence[float] | None = None,
+    done: Collection[str] = (),
+    costs: TravelCosts | None = None,
+) -> Assignment:
+    """Share out visits by the mission's objective; the same scene, visits and seed give the same, bit for bit.
+
+    Parameters
+    ----------
+    scene : of an open mission, without routes
+    budget_share : of each vehicle, how much of its battery a tour may take; default: all but its reserve
+    done : targets that are not asked for any more
+    costs : of exactly these visits; default: :func:`.travel_costs`
+
+    Raises
+    ------
+    InfeasibleError
+        The wind is too strong for somebody.
+    """
+    problem = _Problem.of(scene, visits, budget_share, done, costs)
+    return problem.assignment(_solve(problem, seed))
+
+
+def share_out(
+    scene: Scene,
+    visits: Sequence[Visit],
+    way: Way,
+    *,
+    budget_share: Sequence[float] | None = None,
+    costs: TravelCosts | None = None,
+) -> Assignment:
+    """Share out visits in a simple way, as it is done without a solver: to compare with, and to start from."""
+    problem = _Problem.of(scene, visits, budget_share, (), costs)
+    return problem.assignment(_split(problem) if way == "split" else _nearest(problem))
+
+
+# --- the problem, and what is made of it
+
+
+@dataclass(frozen=True, slots=True)
+class _Route:
+    """One vehicle's way through forms of visits."""
+
+    vehicle: int
+    forms: tuple[int, ...]
+
+
+_Plan = tuple[_Route, ...]
+"""Tours in no order; a vehicle may have several."""
+_Score = tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """What is asked for, in numbers."""
+
+    costs: TravelCosts
+    settings: mission.Assignment
+    names: tuple[str, ...]  # of the vehicles
+    budget: FloatArray  # (V,)
+    weights: dict[str, float]  # of targets that were not done
+    targets: dict[str, tuple[int, ...]]  # that can be reached: their visits
+    unreachable: tuple[LeftOut, ...]
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        visits: Sequence[Visit],
+        budget_share: Sequence[float] | None,
+        done: Collection[str],
+        costs: TravelCosts | None,
+    ) -> _Problem:
+        inspection = scene.mission.inspection
+        if inspection is None or inspection.assignment is None or scene.towers is None:
+            raise MissionError("inspection.assignment: expected this field, got none: nothing is to be shared out")
+        found = travel_costs(scene, visits) if costs is None else costs
+        budget = 1.0 - found.reserve_share if budget_share is None else np.asarray(budget_share, dtype=float)
+        of: dict[str, list[int]] = {}
+        for index, visit in enumerate(found.visits):
+            if visit.target not in done:
+                of.setdefault(visit.target, []).append(index)
+        of_towers = dict(zip(scene.towers.names, scene.towers.weight.tolist(), strict=True))
+        mean = float(scene.towers.weight.mean())  # what a span weighs
+        names = tuple(task.name for task in scene.tasks)
+        problem = cls(
+            costs=found,
+            settings=inspection.assignment,
+            names=names,
+            budget=budget,
+            weights={target: of_towers.get(target, mean) for target in of},
+            targets={},
+            unreachable=(),
+        )
+        unreachable = []
+        for target, indices in of.items():
+            why = next((w for w in (problem._why_unreachable(k) for k in indices) if w is not None), None)
+            if why is None:
+                problem.targets[target] = tuple(indices)
+            else:
+                unreachable.append(LeftOut(target, why))
+        return cls(found, problem.settings, names, budget, problem.weights, dict(problem.targets), tuple(unreachable))
+
+    @property
+    def vehicles(self) -> int:
+        return len(self.names)
+
+    @property
+    def sorties_max(self) -> int:
+        return 1 if self.settings.objective == "priority" else self.settings.sorties_max
+
+    @cached_property
+    def forms(self) -> tuple[tuple[int, ...], ...]:
+        """The forms of every visit."""
+        turned = self.costs.turned
+        return tuple((k,) if turned[k] == k else (k, int(turned[k])) for k in range(len(self.costs.visits)))
+
+    def target_of(self, form: int) -> str:
+        return self.costs.forms[form].target
+
+    def _why_unreachable(self, visit: int) -> str | None:
+        """Return why no vehicle can fly a visit alone, and what helps; None: one can."""
+        needs = [(self.needs([_Route(v, (f,))])[0], v) for v in range(self.vehicles) for f in self.forms[visit]]
+        if any(need <= self.budget[v] + _SAME for need, v in needs):
+            return None
+        name = self.costs.visits[visit].name
+        need, v = min(needs, key=lambda n: n[0] - self.budget[n[1]])
+        if not math.isfinite(need):
+            return (
+                f"no vehicle has a way to {name}: it is walled in, below a ceiling or beyond the terrain: move homes, "
+                "or raise ceilings"
+            )
+        return (
+            f"to fly to {name} alone takes {need:.1%} of the battery of {self.names[v]}, the least of all, allowed "
+            f"{self.budget[v]:.0%}: move a home nearer to it, or take a larger battery (energy, endurance_s)"
+        )
+
+    # what routes take
+
+    def route_s(self, route: _Route) -> float:
+        return float(self._along(route, self.costs.time_s).sum())
+
+    def _along(self, route: _Route, of: FloatArray) -> FloatArray:
+        home = self.costs.home(route.vehicle)
+        places = np.array([home, *route.forms, home])
+        steps: FloatArray = of[self.costs.model[route.vehicle], places[:-1], places[1:]]
+        return steps
+
+    def needs(self, routes: Iterable[_Route]) -> list[float]:
+        """Return the share of the battery that each route takes, on returning from wherever that takes most."""
+        costs = self.costs
+        found = []
+        for route in routes:
+            used = np.cumsum(self._along(route, costs.energy_share))
+            need = float(used[-1])
+            if costs.returns:
+                v, forms = route.vehicle, list(route.forms)
+                heights = costs.return_height_m[v, forms]
+                home = costs.home_share[v, forms] + costs.higher_share_m[v] * (heights.max() - heights)
+                need = max(need, float((used[:-1] + home).max()))
+            found.append(need if math.isfinite(self.route_s(route)) else math.inf)
+        return found
+
+    def fits(self, route: _Route) -> bool:
+        return bool(self.needs([route])[0] <= self.budget[route.vehicle] + _SAME)
+
+    # what plans are worth
+
+    def inspected(self, plan: _Plan) -> set[str]:
+        """Return the targets of which all visits are flown."""
+        flown = {int(self.costs.visit[form]) for route in plan for form in route.forms}
+        return {target for target, visits in self.targets.items() if flown.issuperset(visits)}
+
+    def complete(self, plan: _Plan) -> _Plan:
+        """Return a plan without visits of targets of which others are missing."""
+        kept = self.inspected(plan)
+        routes = (_Route(r.vehicle, tuple(f for f in r.forms if self.target_of(f) in kept)) for r in plan)
+        return tuple(route for route in routes if route.forms)
+
+    def rounds_of(self, plan: _Plan) -> list[list[tuple[float, _Route]]]:
+        """Return the routes of each round with their times: each vehicle's longest first."""
+        rounds: list[list[tuple[float, _Route]]] = []
+        for v in range(self.vehicles):
+            own = sorted(((self.route_s(r), r) for r in plan if r.vehicle == v), key=lambda o: (-o[0], o[1].forms))
+            rounds += [[] for _ in range(len(own) - len(rounds))]
+            for k, timed in enumerate(own):
+                rounds[k].append(timed)
+        return rounds
+
+    def makespan_s(self, plan: _Plan) -> float:
+        rounds = self.rounds_of(plan)
+        longest = sum(max(time_s for time_s, _ in round_) for round_ in rounds)
+        return longest + self.settings.swap_s * max(0, len(rounds) - 1)
+
+    def score(self, plan: _Plan) -> _Score:
+        """Return what is to be as small as can be, what counts most first."""
+        inspected = self.inspected(plan)
+        missing = sum(weight for target, weight in self.weights.items() if target not in inspected)
+        lost = (round(missing, 9), float(len(self.targets) - len(inspected)))
+        flight_s = sum(self.route_s(route) for route in plan)
+        rounds = float(len(self.rounds_of(plan)))
+        if self.settings.objective == "priority":
+            return (*lost, flight_s)
+        if self.settings.objective == "balanced":
+            each = [sum(self.route_s(r) for r in plan if r.vehicle == v) for v in range(self.vehicles)]
+            return (*lost, rounds, float(math.ceil((max(each) - min(each)) / _EVEN_S)), flight_s)
+        return (*lost, rounds, self.makespan_s(plan), flight_s)
+
+    def valid(self, plan: _Plan) -> bool:
+        """Whether every visit is flown at most once, no battery is overdrawn, and nobody flies too often."""
+        flown = [int(self.costs.visit[form]) for route in plan for form in route.forms]
+        often = [sum(route.vehicle == v for route in plan) for v in range(self.vehicles)]
+        once = len(flown) == len(set(flown))
+        return once and max(often) <= self.sorties_max and all(self.fits(route) for route in plan)
+
+    def best(self, plans: Iterable[_Plan]) -> _Plan:
+        """Return the best of the valid ones; the first of equals."""
+        return min((plan for plan in map(self.complete, plans) if self.valid(plan)), key=self.score)
+
+    def assignment(self, plan: _Plan) -> Assignment:
+        tours = []
+        for number, round_ in enumerate(self.rounds_of(plan)):
+            for time_s, route in sorted(round_, key=lambda timed: timed[1].vehicle):
+                visits = tuple(self.costs.forms[form] for form in route.forms)
+                tours.append(Tour(route.vehicle, number, visits, time_s, self.needs([route])[0]))
+        inspected = self.inspected(plan)
+        left_out = [LeftOut(t, self._why_not()) for t in self.targets if t not in inspected]
+        order = {target: k for k, target in enumerate(self.weights)}
+        return Assignment(
+            tours=tuple(tours),
+            left_out=tuple(sorted((*self.unreachable, *left_out), key=lambda left: order[left.target])),
+            makespan_s=self.makespan_s(plan) if plan else 0.0,
+            bound_s=_bound_s(self, sorted({int(self.costs.visit[f]) for r in plan for f in r.forms}), plan),
+        )
+
+    def _why_not(self) -> str:
+        if self.settings.objective == "priority":
+            return (
+                "one sortie of each vehicle is not enough for it beside what weighs more: add vehicles, or ask for all "
+                "(inspection.assignment.objective: makespan)"
+            )
+        return (
+            f"needs more sorties than {self.settings.sorties_max} of each vehicle: raise "
+            "inspection.assignment.sorties_max, or add vehicles"
+        )
+
+
+# --- simple ways
+
+
+def _split(problem: _Problem) -> _Plan:
+    """Cut the towers in their order into equal parts, one for each vehicle, which flies out on one side and back."""
+    targets = list(problem.targets)
+    parts = [part.tolist() for part in np.array_split(np.arange(len(targets)), problem.vehicles)]
+    parts = [part for part in parts if part]
+    if not parts:
+        return ()
+
+    def far_s(v: int, part: Sequence[int]) -> float:
+        away = problem.costs.time_s[problem.costs.model[v], problem.costs.home(v)]
+        found_s = min(float(away[f]) for k in part for u in problem.targets[targets[k]] for f in problem.forms[u])
+        return min(found_s, float(_BLOCKED))
+
+    far = np.array([[far_s(v, part) for part in parts] for v in range(problem.vehicles)])
+    routes = []
+    for v, p in zip(*linear_sum_assignment(far), strict=True):
+        left = [targets[k] for k in parts[p]]
+        for _ in range(problem.sorties_max):
+            route, count = None, 0
+            while left and count < len(left):
+                longer = _out_and_back(problem, int(v), left[: count + 1])
+                if not problem.fits(longer):
+                    break
+                route, count = longer, count + 1
+            if route is not None:
+                routes.append(route)
+            left = left[max(count, 1) :]  # what does not even fit alone is not its
+    return tuple(routes)
+
+
+def _out_and_back(problem: _Problem, vehicle: int, targets: Sequence[str]) -> _Route:
+    visits = [problem.targets[target] for target in targets]
+    order = [of[0] for of in visits] + [visit for of in reversed(visits) for visit in of[1:]]
+    forms: list[int] = []
+    for visit in order:
+        forms.append(_nearest_form(problem, vehicle, forms, problem.forms[visit]))
+    return _Route(vehicle, tuple(forms))
+
+
+def _nearest_form(problem: _Problem, vehicle: int, before: Sequence[int], forms: Sequence[int]) -> int:
+    """Return which of some forms is nearest to the end of a route."""
+    time_s = problem.costs.time_s[problem.costs.model[vehicle]]
+    place = before[-1] if before else problem.costs.home(vehicle)
+    return min(forms, key=lambda form: (time_s[place, form], form))
+
+
+def _nearest(problem: _Problem) -> _Plan:
+    """Let the vehicles in turn take the nearest target that is left and that their batteries still allow."""
+    left = dict.fromkeys(problem.targets)
+    now: list[_Route] = [_Route(v, ()) for v in range(problem.vehicles)]
+    sorties = [0] * problem.vehicles
+    routes: list[_Route] = []
+    flying = list(range(problem.vehicles))
+    while flying:
+        v = flying.pop(0)
+        longer = next((r for r in _with_nearest(problem, now[v], left) if problem.fits(r)), None)
+        if longer is not None:
+            now[v] = longer
+            left.pop(problem.target_of(longer.forms[-1]))
+            flying.append(v)
+        elif now[v].forms:
+            routes.append(now[v])
+            now[v], sorties[v] = _Route(v, ()), sorties[v] + 1
+            if sorties[v] < problem.sorties_max:
+                flying.append(v)
+    return tuple(routes)
+
+
+def _with_nearest(problem: _Problem, route: _Route, left: Iterable[str]) -> Iterator[_Route]:
+    """Yield the route with one more target, the nearest first."""
+    time_s = problem.costs.time_s[problem.costs.model[route.vehicle]]
+    place = route.forms[-1] if route.forms else problem.costs.home(route.vehicle)
+
+    def away_s(target: str) -> float:
+        return float(min(time_s[place, form] for visit in problem.targets[target] for form in problem.forms[visit]))
+
+    for target in sorted(left, key=away_s):
+        forms = list(route.forms)
+        visits = list(problem.targets[target])
+        while visits:
+            choices = [form for visit in visits for form in problem.forms[visit]]
+            forms.append(_nearest_form(problem, route.vehicle, forms, choices))
+            visits.remove(int(problem.costs.visit[forms[-1]]))
+        yield _Route(route.vehicle, tuple(forms))
+
+
+# --- the solver
+
+
+def _solve(problem: _Problem, seed: int) -> _Plan:
+    """Return the best plan that was found."""
+    best = problem.best([(), _split(problem), _nearest(problem)])
+    if not problem.targets:
+        return best
+    search = _Search(problem, seed, best)
+    if problem.settings.objective == "priority" or not search.cover():
+        search.most_weight()
+        return search.found
+    search.shorten()
+    if problem.settings.objective == "balanced":
+        search.even_out()
+    return search.found
+
+
+@dataclass(frozen=True, slots=True)
+class _Choice:
+    """What the solver calls a client: one of some ways to fly something, each through forms one after the other."""
+
+    options: tuple[tuple[int, ...], ...]
+    prize_s: float = 0.0  # 0: it must be flown
+
+
+class _Search:
+    """The best plan so far, and what improves it."""
+
+    def __init__(self, problem: _Problem, seed: int, start: _Plan) -> None:
+        self._problem = problem
+        self._rng = np.random.default_rng(seed)
+        self.found = start
+        self._score = problem.score(start)
+        self._spare = np.zeros(problem.vehicles)  # of each battery: what the solver cannot know of ways home
+        visits = [visit for of in problem.targets.values() for visit in of]
+        self._visits = [_Choice(tuple((form,) for form in problem.forms[visit])) for visit in visits]
+
+    def offer(self, plan: _Plan) -> bool:
+        """Take a plan if it is better than the best so far."""
+        plan = self._problem.complete(plan)
+        if not self._problem.valid(plan):
+            return False
+        score = self._problem.score(plan)
+        if score >= self._score:
+            return False
+        self.found, self._score = plan, score
+        return True
+
+    def cover(self) -> bool:
+        """Find tours through all visits in as few rounds as can be; False: there are none within the sorties allowed."""
+        problem = self._problem
+        rounds = problem.sorties_max
+        if self._score[1] == 0.0:
+            rounds = len(problem.rounds_of(self.found)) - 1
+        least = _rounds_min(problem)
+        while rounds >= least:
+            for _ in range(_MENDS):
+                plan = self._run(self._visits, self._fleet([math.inf] * rounds), first=True)
+                if plan is None or self._mended(plan):
+                    break
+            else:
+                break
+            if plan is None or not self.offer(plan):
+                break
+            rounds = len(problem.rounds_of(self.found)) - 1
+        return self._score[1] == 0.0
+
+    def shorten(self) -> None:
+        """Let the longest tours of all rounds become shorter."""
+        for share in _SHORTER:
+            for _ in range(2):
+                rounds = self._problem.rounds_of(self.found)
+                longest = [max(time_s for time_s, _ in round_) for round_ in rounds]
+                plan = self._run(self._visits, self._fleet([share * s for s in longest]), start=self.found)
+                if plan is None or not self._mended(plan) or not self.offer(plan):
+                    break
+
+    def most_weight(self) -> None:
+        """Find the targets of most weight that can be inspected."""
+        problem = self._problem
+        mean = sum(problem.weights[target] for target in problem.targets) / len(problem.targets)
+        choices = [
+            _Choice(_orders(problem, visits), _PRIZE_S * problem.weights[target] / (mean or 1.0))
+            for target, visits in problem.targets.items()
+        ]
+        fleet = self._fleet([math.inf] * problem.sorties_max)
+        for _ in range(_MENDS):
+            plan = self._run(choices, fleet)
+            if plan is None or self._mended(plan):
+                break
+        self.offer(self._filled(self.found))
+
+    def even_out(self) -> None:
+        """Let all vehicles fly about as long."""
+
+    def _filled(self, plan: _Plan) -> _Plan:
+        return plan
+
+    def _mended(self, plan: _Plan) -> bool:
+        """Whether all batteries suffice for the ways home, too; else the solver gets less of those that do not."""
+        fine = True
+        for route, need in zip(plan, self._problem.needs(plan), strict=True):
+            over = need - self._problem.budget[route.vehicle]
+            if over > _SAME:
+                self._spare[route.vehicle] += over + 1.0 - _MEND
+                fine = False
+        return fine
+
+    def _fleet(self, longest_s: Sequence[float]) -> list[tuple[int, float]]:
+        """Return one sortie of every vehicle for each round: the vehicle, and how long it should be at most."""
+        return [(v, longest) for longest in longest_s for v in range(self._problem.vehicles)]
+
+    def _run(
+        self,
+        choices: Sequence[_Choice],
+        fleet: Sequence[tuple[int, float]],
+        *,
+        start: _Plan | None = None,
+        first: bool = False,
+    ) -> _Plan | None:
+        """Return what the solver finds, offering all that it finds on the way; None: no tours within the batteries."""
+        model = _Model(self._problem, choices, fleet, self._problem.budget - self._spare)
+        watch = _Watch(model, self)
+        stop: StoppingCriterion = MaxIterations(self._problem.settings.iterations)
+        if first:
+            stop = MultipleCriteria([FirstFeasible(), stop])
+        result = pyvrp.solve(
+            model.data,
+            stop,
+            seed=int(self._rng.integers(2**31)),
+            collect_stats=False,
+            params=pyvrp.SolveParams(ils=pyvrp.IteratedLocalSearchParams(callbacks=watch)),
+            initial_solution=None if start is None else model.encoded(start),
+        )
+        return model.decoded(result.best) if result.best.is_feasible() else None
+
+
+class _Watch(pyvrp.IteratedLocalSearchCallbacks):
+    """Offers all that the solver finds: what is best for it need not be so by the objective."""
+
+    def __init__(self, model: _Model, search: _Search) -> None:
+        self._model = model
+        self._search = search
+
+    def on_best(self, best: pyvrp.Solution) -> None:
+        """Take a solution that is the solver's best so far."""
+        self._search.offer(self._model.decoded(best))
+
+
+class _Model:
+    """The problem in the solver's terms: a place for every option of every choice, then the homes."""
+
+    def __init__(
+        self,
+        problem: _Problem,
+        choices: Sequence[_Choice],
+        fleet: Sequence[tuple[int, float]],
+        budget: FloatArray,
+    ) -> None:
+        self._options = [option for choice in choices for option in choice.options]
+        self._index = {option: k for k, option in enumerate(self._options)}
+        self._fleet = fleet
+        costs = problem.costs
+        count, vehicles = len(self._options), problem.vehicles
+        first = np.array([option[0] for option in self._options] + [costs.home(v) for v in range(vehicles)])
+        last = np.array([option[-1] for option in self._options] + [costs.home(v) for v in range(vehicles)])
+        times, shares = [], []
+        for m in range(len(costs.time_s)):
+            within_s, within = (
+                np.array([sum(of[m, a, b] for a, b in pairwise(o)) for o in self._options])
+                for of in (costs.time_s, costs.energy_share)
+            )
+            time_s, share = costs.time_s[m][np.ix_(last, first)], costs.energy_share[m][np.ix_(last, first)]
+            time_s[:, :count] += within_s
+            share[:, :count] += within
+            if costs.returns:
+                home = costs.home_share[:, last[:count]].T
+                share[:count, count:] = np.maximum(share[:count, count:], home)
+            np.fill_diagonal(time_s, 0.0)  # as the solver will have it
+            np.fill_diagonal(share, 0.0)
+            times.append(_whole(time_s, _TICK_S))
+            shares.append(_whole(share, _SHARE))
+        clients: list[pyvrp.Client] = []
+        groups: list[pyvrp.ClientGroup] = []
+        for choice in choices:
+            alone = len(choice.options) == 1
+            required = choice.prize_s == 0.0
+            group = pyvrp.ClientGroup(required=required)
+            for _ in choice.options:
+                clients.append(
+                    pyvrp.Client(
+                        location=len(clients),
+                        prize=round(choice.prize_s / _TICK_S),
+                        required=required and alone,
+                        group=None if alone else len(groups),
+                    )
+                )
+                group.add_client(len(clients) - 1)
+            if not alone:
+                groups.append(group)
+        self.data = pyvrp.ProblemData(
+            locations=[pyvrp.Location(0, 0) for _ in range(count + vehicles)],
+            clients=clients,
+            depots=[pyvrp.Depot(location=count + v) for v in range(vehicles)],
+            vehicle_types=[self._type(v, longest_s, float(budget[v]), int(costs.model[v])) for v, longest_s in fleet],
+            distance_matrices=shares,  # type: ignore[arg-type]  (its stubs know numpy's types less well)
+            duration_matrices=times,  # type: ignore[arg-type]
+            groups=groups,
+        )
+
+    def _type(self, vehicle: int, longest_s: float, budget: float, model: int) -> pyvrp.VehicleType:
+        limited = math.isfinite(longest_s)
+        return pyvrp.VehicleType(
+            start_depot=vehicle,
+            end_depot=vehicle,
+            profile=model,
+            max_distance=max(0, math.floor(budget / _SHARE)),
+            unit_distance_cost=0,
+            unit_duration_cost=1,
+            shift_duration=round(longest_s / _TICK_S) if limited else _BLOCKED,
+            max_overtime=_BLOCKED,
+            unit_overtime_cost=_OVERTIME if limited else 0,
+        )
+
+    def encoded(self, plan: _Plan) -> pyvrp.Solution:
+        """Return a plan as the solver has it: a vehicle's longest tours first."""
+        free: dict[int, list[int]] = {}
+        for k, (vehicle, _) in enumerate(self._fleet):
+            free.setdefault(vehicle, []).append(k)
+        routes = []
+        for route in plan:
+            clients = [self._index[(form,)] for form in route.forms]
+            routes.append(pyvrp.Route(self.data, clients, free[route.vehicle].pop(0)))
+        return pyvrp.Solution(self.data, routes)
+
+    def decoded(self, solution: pyvrp.Solution) -> _Plan:
+        """Return a solution as a plan."""
+        routes = []
+        for route in solution.routes():
+            forms = [f for activity in route if activity.is_client() for f in self._options[activity.idx]]
+            if forms:
+                routes.append(_Route(self._fleet[route.vehicle_type()][0], tuple(forms)))
+        return tuple(routes)
+
+
+def _whole(values: FloatArray, unit: float) -> np.typing.NDArray[np.int64]:
+    """Return values (...) in whole units, rounded up; what is infinite, as far more than any tour may take."""
+    counted = np.where(np.isfinite(values), np.ceil(values / unit - 1e-9), _BLOCKED)
+    whole: np.typing.NDArray[np.int64] = np.minimum(counted, _BLOCKED).astype(np.int64)
+    return whole
+
+
+def _orders(problem: _Problem, visits: Sequence[int]) -> tuple[tuple[int, ...], ...]:
+    """Return the shortest ways to fly a target's visits one after the other."""
+    time_s = problem.costs.time_s.min(axis=0)
+    ways: list[tuple[int, ...]] = [()]
+    for _ in visits:
+        ways = [
+            (*way, form)
+            for way in ways
+            for visit in visits
+            if all(problem.costs.visit[f] != visit for f in way)
+            for form in problem.forms[visit]
+        ]
+
+    def within_s(way: tuple[int, ...]) -> float:
+        return float(sum(time_s[a, b] for a, b in pairwise(way)))
+
+    return tuple(sorted(ways, key=lambda way: (within_s(way), way))[:_ORDERS])
+
+
+# --- what no tours can undercut
+
+
+def _rounds_min(problem: _Problem) -> int:
+    """Return a lower bound on the rounds that all targets take, by the energy."""
+    return 1
+
+
+def _bound_s(problem: _Problem, visits: Sequence[int], plan: _Plan) -> float:
+    return 0.0
