@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.progress import Progress, TaskID
 
-from missionplanner import experiment_commands, inspection_commands
+from missionplanner import experiment_commands, import_commands, inspection_commands
 from missionplanner.errors import InfeasibleError, LinkError, MissionError, MissionPlannerError
 from missionplanner.terminal import Told, print_json, progress_bars, stderr, stdout
 
@@ -51,7 +51,9 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 app.add_typer(experiment_commands.app, name="experiment")
+app.command("import")(import_commands.import_maps)
 app.command()(inspection_commands.cameras)
+app.command()(inspection_commands.coverage)
 FILES, LOGS, SITL = "files", "logs", "sitl"
 _BUSY = (
     "expected a plan folder that nobody else uses, got one in which another plan, upload or fly is at work: wait for "

@@ -1,0 +1,903 @@
+"""From a map's lines to a mission file that a person can edit: what to inspect, what stands in the way, who flies.
+
+What the map does not say is assumed, written out, and marked. The file holds an *open* mission: who inspects what is
+found when it is planned.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from missionplanner import mission
+from missionplanner.errors import MissionError
+from missionplanner.geodesy import FloatArray, LocalFrame
+from missionplanner.line_map import COARSE_M, LineMap, Support, Wire
+from missionplanner.map_tags import MapFeature, number, plain
+from missionplanner.terrain import Rectangle, Terrain, read_raster
+from missionplanner.terrain_bounds import steepest
+
+NO_TERRAIN = Path("FILL-IN-a-terrain-model.tif")
+"""What terrain.file says until somebody fills it in: the message that it is missing then says what to do."""
+
+_REACH_M = 100_000.0
+_ROOM_M = 1000.0  # of the mission's area around its towers and homes
+_SPAN_MAX_M = 3000.0  # no span is longer, but for a handful on earth
+_TOWERS_MAX = 5000
+_TUBE_M = 5.0  # as copters have it by default
+_HOME_PITCH_M = 40.0  # between homes: more than the fleet's separation and both vehicles' errors
+_HOME_CLEAR_M = 45.0  # of a home from whatever stands around
+_HOME_SLOPES_DEG = (5.0, 12.0)  # looked for at first, and at all
+_HOME_AWAY_M = (60.0, 90.0, 120.0, 170.0, 230.0, 300.0)  # from the line
+_DENSE_M = 250.0  # between supports that are made up below a line drawn without them
+_OBSTACLE_M = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Class:
+    """What is assumed of lines up to a voltage."""
+
+    up_to_kv: float
+    height_m: float
+    half_width_m: float
+    safety_m: float
+
+
+# Heights and widths are ours, at the upper end of what is usual; distances: DIN VDE 0105-100 table 103 up to 380 kV (as
+# DGUV rules quote it), above that 29 CFR 1926.1408 table A: docs/IMPORT.md
+_CLASSES = (
+    _Class(1.0, 12.0, 3.0, 1.0),
+    _Class(45.0, 16.0, 4.0, 3.0),
+    _Class(123.0, 35.0, 8.0, 3.0),
+    _Class(245.0, 45.0, 12.0, 4.0),
+    _Class(420.0, 60.0, 16.0, 5.0),
+    _Class(765.0, 75.0, 22.0, 11.0),
+    _Class(math.inf, 100.0, 30.0, 14.0),
+)
+_UNKNOWN = _Class(math.nan, 35.0, 8.0, 5.0)
+_MINOR = _Class(math.nan, 16.0, 4.0, 5.0)
+_ROPEWAY_HEIGHT_M = {
+    **dict.fromkeys(("cable_car",), 60.0),
+    **dict.fromkeys(("gondola", "mixed_lift", "goods", "zip_line"), 40.0),
+    "chair_lift": 25.0,
+    **dict.fromkeys(("drag_lift", "t-bar", "j-bar", "platter", "rope_tow"), 12.0),
+}
+_OTHER_ROPEWAY_M = 40.0
+_MAST_RADIUS_M = 10.0
+_GUYED_FROM_M, _GUYS_SHARE = 50.0, 0.7  # masts so high may be guyed; their guys reach so much of the height outwards
+_ROTOR_RADIUS_M = 90.0  # the largest on land
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What a person asked for; places are latitude and longitude."""
+
+    name: str
+    area_deg: tuple[float, float, float, float] | None = None  # south, west, north, east
+    lines: tuple[str, ...] = ()  # names, refs or voltages (110kV); none: the highest voltage
+    tower_height_m: float | None = None  # where the map does not say it
+    as_of: str | None = None
+    homes_deg: tuple[tuple[float, float], ...] = ()
+    vehicles: int = 2
+    terrain: Path | None = None  # as it is to be read
+    terrain_as_written: Path = NO_TERRAIN  # as the mission file names it
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedMission:
+    """A mission file's text, and what a person should know of it."""
+
+    text: str
+    lines: tuple[tuple[str, int, float | None], ...]  # name, towers, voltage
+    towers: int
+    obstacles: int
+    notes: tuple[str, ...]
+
+
+def imported_mission(found: LineMap, wishes: Wishes, sources: Sequence[str], notes: Sequence[str]) -> ImportedMission:
+    """Return the open mission of what was found on maps; ``sources`` names them, ``notes`` were made in reading.
+
+    Raises
+    ------
+    MissionError
+        Nothing to inspect in the area; a line without towers; towers outside of the terrain; no place for a home.
+    """
+    return _Importer(found, wishes, sources, notes).mission()
+
+
+def class_of(voltage_kv: float | None, *, minor: bool = False) -> _Class:
+    """Return what is assumed of a line of this voltage."""
+    if voltage_kv is None:
+        return _MINOR if minor else _UNKNOWN
+    return next(c for c in _CLASSES if voltage_kv <= c.up_to_kv)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """Neighbouring towers of a line that are inspected together; its ends may be outside of the area."""
+
+    wire: Wire
+    supports: tuple[int, ...]
+
+
+class _Importer:
+    """Builds one mission, part by part: each step uses what those before it left."""
+
+    def __init__(self, found: LineMap, wishes: Wishes, sources: Sequence[str], notes: Sequence[str]) -> None:
+        self._map, self._wishes, self._sources = found, wishes, sources
+        self._notes = list(notes)
+        self._inside = [self._in_area(support.lat_lon_deg) for support in found.supports]
+        self._chosen = self._choose()
+        self._runs = [run for wire in self._chosen for run in self._runs_of(wire)]
+        self._inspected = list(dict.fromkeys(s for run in self._runs for s in run.supports))
+        self._line_names = self._name_lines()
+        self._tower_names = self._name_towers()
+        self._frame = self._local_frame()
+        self._of_line = self._classes()
+        self._area = self._mission_area()
+        self._terrain = self._read_terrain()
+        self._obstacles, self._obstacle_comments = self._all_obstacles()
+        self._homes = self._all_homes()
+
+    # --- what is inspected
+
+    def _in_area(self, place: tuple[float, float]) -> bool:
+        if self._wishes.area_deg is None:
+            return True
+        south, west, north, east = self._wishes.area_deg
+        return south <= place[0] <= north and west <= place[1] <= east
+
+    def _choose(self) -> list[Wire]:
+        lines = [wire for wire in self._map.wires if not wire.aerialway]
+        if not lines:
+            towers = len(self._map.supports)
+            raise MissionError(
+                f"{', '.join(self._sources)}: expected a power line or two towers, got {towers} towers without a line"
+            )
+        here = [wire for wire in lines if any(self._inside[s] for s in wire.supports)]
+        if not here:
+            raise self._nothing_in_the_area(lines)
+        if self._wishes.lines:
+            chosen = []
+            for asked in self._wishes.lines:
+                matching = [wire for wire in here if _is_called(wire, asked)]
+                if not matching:
+                    shown = "; ".join(wire.title for wire in here[:6])
+                    more = f"; and {len(here) - 6} more" if len(here) > 6 else ""
+                    raise MissionError(f"--line: expected one of {shown}{more}, got {asked!r}")
+                chosen += [wire for wire in matching if wire not in chosen]
+        else:
+            chosen = _of_highest_voltage(here)
+        for wire in chosen:
+            self._expect_towers(wire)
+        others = len(here) - len(chosen)
+        if others and not self._wishes.lines:
+            self._notes.append(
+                f"inspected: {_volts(chosen)}; {others} other lines are obstacles (--line chooses others to inspect)"
+            )
+        return chosen
+
+    def _nothing_in_the_area(self, lines: Sequence[Wire]) -> MissionError:
+        assert self._wishes.area_deg is not None
+        south, west, north, east = self._wishes.area_deg
+        places = np.array([self._map.supports[s].lat_lon_deg for wire in lines for s in wire.supports])
+        swapped = (
+            (places[:, 1] >= south) & (places[:, 1] <= north) & (places[:, 0] >= west) & (places[:, 0] <= east)
+        ).any()
+        low, high = places.min(axis=0), places.max(axis=0)
+        hint = (
+            "swapped they lie in it: the map's latitudes and longitudes, or the area's, are the wrong way round"
+            if swapped
+            else "give --area SOUTH,WEST,NORTH,EAST around them"
+        )
+        return MissionError(
+            f"--area {south:g},{west:g},{north:g},{east:g}: expected something to inspect there, got {len(lines)} "
+            f"lines all at latitudes {low[0]:.4f} to {high[0]:.4f} and longitudes {low[1]:.4f} to {high[1]:.4f}: {hint}"
+        )
+
+    def _expect_towers(self, wire: Wire) -> None:
+        if self._map.is_drawing(wire) or self._map.coarse_gap_m(wire) > _SPAN_MAX_M:
+            spacing_m = np.linalg.norm(np.diff(self._map.xy_m(wire.supports), axis=0), axis=1)
+            raise MissionError(
+                f"{wire.title}: a line without towers: expected a vertex or a point at every tower, got "
+                f"{len(wire.supports)} vertices {np.median(spacing_m):.0f} m apart (up to {spacing_m.max():.0f} m): "
+                "import a map of its towers too, or leave it out with --line"
+            )
+
+    def _runs_of(self, wire: Wire) -> Iterator[_Run]:
+        """Yield the stretches of a line in the area, each with the towers just outside."""
+        row, n = wire.supports, len(wire.supports)
+        inside = [self._inside[s] for s in row]
+        for is_in, places in itertools.groupby(range(n), key=inside.__getitem__):
+            stretch = list(places)
+            if is_in:
+                yield _Run(wire, row[max(0, stretch[0] - 1) : min(n, stretch[-1] + 2)])
+
+    def _name_lines(self) -> list[str]:
+        names: list[str] = []
+        for k, run in enumerate(self._runs, start=1):
+            label = run.wire.labels[0] if run.wire.labels else ""
+            volts = f"{run.wire.voltage_kv:g}kV-{k}" if run.wire.voltage_kv else f"line-{k}"
+            names.append(_unique(_name(label) or volts, names))
+        return names
+
+    def _name_towers(self) -> dict[int, str]:
+        labels = Counter(_name(self._map.supports[s].label) for s in self._inspected)
+        names: dict[int, str] = {}
+        taken: set[str] = set()
+        for k, (line, run) in enumerate(zip(self._line_names, self._runs, strict=True), start=1):
+            prefix = line if len(line) <= 9 else f"L{k}"
+            width = max(2, len(str(len(run.supports))))
+            for place, s in enumerate(run.supports, start=1):
+                if s in names:
+                    continue
+                label = _name(self._map.supports[s].label)[:30]
+                if label and not label.isdigit() and labels[label] == 1:
+                    name = label
+                else:
+                    name = f"{prefix}-{label or f'{place:0{width}d}'}"
+                names[s] = _unique(name, taken)
+                taken.add(names[s])
+        return names
+
+    # --- where
+
+    def _local_frame(self) -> LocalFrame:
+        places = np.array([self._map.supports[s].lat_lon_deg for s in self._inspected])
+        middle = (places.min(axis=0) + places.max(axis=0)) / 2
+        frame = LocalFrame(round(float(middle[0]), 5), round(float(middle[1]), 5))
+        away_m = np.linalg.norm(frame.to_local(places[:, 0], places[:, 1], 0.0), axis=1)
+        if not away_m.max() <= _REACH_M - 2 * _ROOM_M:
+            raise MissionError(
+                f"the map: expected towers within {_REACH_M / 1000:.0f} km of their middle, got some "
+                f"{away_m.max() / 1000:.0f} km away: give --area or --line"
+            )
+        if len(self._inspected) > _TOWERS_MAX:
+            raise MissionError(
+                f"the map: expected at most {_TOWERS_MAX} towers to inspect, got {len(self._inspected)}: give --area "
+                "or --line"
+            )
+        return frame
+
+    def _xy(self, places_deg: Sequence[tuple[float, float]]) -> FloatArray:
+        places = np.array(places_deg).reshape(-1, 2)
+        return self._frame.to_local(places[:, 0], places[:, 1], 0.0)[:, :2]
+
+    def _places(self, supports: Sequence[int]) -> list[tuple[float, float]]:
+        return [self._map.supports[s].lat_lon_deg for s in supports]
+
+    def _classes(self) -> _Class:
+        """Return what is assumed of the inspected lines together: the greatest of each."""
+        classes = [class_of(run.wire.voltage_kv, minor=run.wire.minor) for run in self._runs]
+        return _Class(
+            math.nan,
+            max(c.height_m for c in classes),
+            max(c.half_width_m for c in classes),
+            max(c.safety_m for c in classes),
+        )
+
+    def _mission_area(self) -> Rectangle:
+        xy_m = self._xy([*self._places(self._inspected), *self._wishes.homes_deg])
+        west, south = (xy_m.min(axis=0) - _ROOM_M).tolist()
+        east, north = (xy_m.max(axis=0) + _ROOM_M).tolist()
+        return west, south, east, north
+
+    def _read_terrain(self) -> Terrain | None:
+        if self._wishes.terrain is None:
+            return None
+        try:
+            ground = read_raster(self._wishes.terrain, self._frame, self._area)
+        except MissionError as error:
+            if "expected terrain below the mission" in str(error) and self._lies_there_swapped():
+                raise MissionError(f"{error}: swapped they match: {_SWAP}") from error
+            raise
+        xy_m = self._xy(self._places(self._inspected))
+        bare = np.isnan(ground.height_amsl_m(xy_m[:, 0], xy_m[:, 1]))
+        if bare.any():
+            missing = [self._tower_names[s] for s, gone in zip(self._inspected, bare, strict=True) if gone]
+            shown = ", ".join(missing[:3]) + (", ..." if len(missing) > 3 else "")
+            what = "outside" if not ground.reaches(xy_m[bare, 0], xy_m[bare, 1]).all() else "at voids"
+            raise MissionError(
+                f"--terrain: expected heights below all towers, got {len(missing)} of {len(self._inspected)} {what} of "
+                f"{ground.description} ({shown}): give a terrain that covers them, or --area to leave them out"
+            )
+        return ground
+
+    def _lies_there_swapped(self) -> bool:
+        assert self._wishes.terrain is not None
+        frame = self._frame
+        if abs(frame.origin_lon_deg) > 84.0:
+            return False
+        west, south, east, north = self._area
+        try:
+            read_raster(
+                self._wishes.terrain,
+                LocalFrame(frame.origin_lon_deg, frame.origin_lat_deg),
+                (south, west, north, east),
+            )
+        except MissionError:
+            return False
+        return True
+
+    # --- what stands in the way
+
+    def _all_obstacles(self) -> tuple[list[mission.Obstacle], dict[str, str]]:
+        made: list[mission.Obstacle] = []
+        comments: dict[str, str] = {}
+        taken = set(self._tower_names.values())
+
+        def add(obstacle: mission.Obstacle, comment: str) -> None:
+            made.append(obstacle)
+            taken.add(obstacle.name)
+            comments[obstacle.name] = comment
+
+        for wire in self._map.wires:
+            for supports, what in self._other_stretches(wire):
+                for chain, title in self._chains(wire, supports):
+                    name = _unique(_name(f"{what}{title}"), taken)
+                    add(self._overhead_line(name, wire, chain), wire.title)
+        for s in self._map.alone:
+            support = self._map.supports[s]
+            if support.tagged and self._near(self._xy([support.lat_lon_deg])[0], 0.0):
+                add(self._lone_tower(support, taken), f"a {support.what} of no known line ({support.source})")
+        for feature in self._map.tall:
+            if (tall := self._tall(feature, taken)) is not None:
+                add(*tall)
+        return made, comments
+
+    def _other_stretches(self, wire: Wire) -> Iterator[tuple[tuple[int, ...], str]]:
+        """Yield what of a line is not inspected, and how to call it."""
+        label = _name(wire.labels[0])[:28] if wire.labels else ""
+        what = label or (wire.aerialway or ("minor-line" if wire.minor else "line"))
+        if wire not in self._chosen:
+            yield wire.supports, what
+            return
+        covered = {
+            frozenset(pair) for run in self._runs if run.wire is wire for pair in itertools.pairwise(run.supports)
+        }
+        rest: list[int] = []
+        for a, b in itertools.pairwise(wire.supports):
+            if frozenset((a, b)) in covered:
+                if rest:
+                    yield tuple(rest), f"{what}-beyond"
+                rest = []
+            else:
+                rest = rest or [a]
+                rest.append(b)
+        if rest:
+            yield tuple(rest), f"{what}-beyond"
+
+    def _chains(self, wire: Wire, supports: Sequence[int]) -> Iterator[tuple[list[_Top], str]]:
+        """Yield chains of supports within the area, and what is added to their names.
+
+        A line whose supports nobody knows may hang high between its vertices, or stand on the hills between them: it
+        is told as both.
+        """
+        tops = [self._top(s, wire) for s in supports]
+        known_between = any(self._map.supports[s].tagged for s in supports[1:-1])
+        coarse = self._map.coarse_gap_m(wire) > COARSE_M
+        if coarse or (wire.aerialway and not known_between):
+            straight = tops if coarse else [tops[0], tops[-1]]
+            for chain in self._within(straight):
+                yield chain, "-straight"
+        if coarse:
+            tops = self._densified(tops)
+        for chain in self._within(tops):
+            yield chain, ""
+
+    def _top(self, s: int, wire: Wire) -> _Top:
+        support = self._map.supports[s]
+        if s in self._tower_names:
+            height_m, _ = self._tower_height(s)
+        elif support.height_m is not None:
+            height_m = support.height_m
+        elif wire.aerialway:
+            height_m = _ROPEWAY_HEIGHT_M.get(wire.aerialway, _OTHER_ROPEWAY_M)
+        else:
+            height_m = class_of(wire.voltage_kv, minor=wire.minor).height_m
+        assumed = (
+            *(() if support.height_m is not None else ("height_agl_m",)),
+            *(() if support.tagged else ("place",)),
+        )
+        return _Top(support.lat_lon_deg, height_m, assumed)
+
+    def _densified(self, tops: Sequence[_Top]) -> list[_Top]:
+        dense = [tops[0]]
+        for (a, b), (at_a, at_b) in zip(
+            itertools.pairwise(tops), itertools.pairwise(self._xy([t.place_deg for t in tops])), strict=True
+        ):
+            pieces = math.ceil(float(np.linalg.norm(at_b - at_a)) / _DENSE_M)
+            height_m = max(a.height_m, b.height_m)
+            shares = [k / pieces for k in range(1, pieces)]
+            dense += [_Top(_between(a.place_deg, b.place_deg, share), height_m, _MADE_UP) for share in shares]
+            dense.append(b)
+        return dense
+
+    def _within(self, tops: Sequence[_Top]) -> Iterator[list[_Top]]:
+        """Yield the stretches whose spans touch the area, with supports only where the ground is known."""
+        xy_m = self._xy([top.place_deg for top in tops])
+        chain: list[_Top] = []
+        for k, (a, b) in enumerate(itertools.pairwise(tops)):
+            span = self._on_known_ground(a, b) if self._near_span(xy_m[k], xy_m[k + 1]) else None
+            if span is not None and span[0] is a and chain:
+                chain.append(span[1])
+            else:
+                if len(chain) > 1:
+                    yield chain
+                chain = [] if span is None else list(span)
+            if span is not None and span[1] is not b:
+                yield chain
+                chain = []
+        if len(chain) > 1:
+            yield chain
+
+    def _on_known_ground(self, a: _Top, b: _Top) -> tuple[_Top, _Top] | None:
+        """Return a span, cut off where the terrain ends; None where nothing of it is above known ground."""
+        ground = self._terrain
+        if ground is None:
+            return a, b
+        pieces = max(2, math.ceil(float(np.linalg.norm(np.diff(self._xy([a.place_deg, b.place_deg]), axis=0))) / 20.0))
+        places = [_between(a.place_deg, b.place_deg, k / pieces) for k in range(pieces + 1)]
+        xy_m = self._xy(places)
+        known = np.flatnonzero(np.isfinite(ground.height_amsl_m(xy_m[:, 0], xy_m[:, 1])))
+        if len(known) < 2:
+            return None
+        first, last = int(known[0]), int(known[-1])
+        height_m = max(a.height_m, b.height_m) + _CUT_HIGHER_M
+        return (
+            a if first == 0 else _Top(places[first], height_m, _MADE_UP),
+            b if last == pieces else _Top(places[last], height_m, _MADE_UP),
+        )
+
+    def _near(self, xy_m: FloatArray, room_m: float) -> bool:
+        west, south, east, north = self._area
+        x, y = xy_m.tolist()
+        inside = bool(west - room_m <= x <= east + room_m and south - room_m <= y <= north + room_m)
+        if not inside or self._terrain is None:
+            return inside
+        return bool(np.isfinite(self._terrain.height_amsl_m(x, y)))
+
+    def _near_span(self, a: FloatArray, b: FloatArray) -> bool:
+        """Return whether a span has a point in the area (Liang and Barsky's clipping)."""
+        west, south, east, north = self._area
+        way = b - a
+        enter, leave = 0.0, 1.0
+        for step, room in (
+            (-way[0], a[0] - west),
+            (way[0], east - a[0]),
+            (-way[1], a[1] - south),
+            (way[1], north - a[1]),
+        ):
+            if step == 0.0:
+                if room < 0.0:
+                    return False
+            elif step < 0.0:
+                enter = max(enter, room / step)
+            else:
+                leave = min(leave, room / step)
+        return bool(enter <= leave)
+
+    def _overhead_line(self, name: str, wire: Wire, chain: Sequence[_Top]) -> mission.OverheadLine:
+        half_m = 5.0 if wire.aerialway else class_of(wire.voltage_kv, minor=wire.minor).half_width_m
+        return mission.OverheadLine(
+            kind="line",
+            name=name,
+            supports=tuple(
+                mission.Point(lat_deg=_deg(top.place_deg[0]), lon_deg=_deg(top.place_deg[1]), height_agl_m=top.height_m)
+                for top in chain
+            ),
+            cable_radius_m=half_m,
+            assumed=tuple(dict.fromkeys(a for top in chain for a in top.assumed)),
+        )
+
+    def _lone_tower(self, support: Support, taken: set[str]) -> mission.Cylinder:
+        minor = support.what == "pole"
+        height_m = support.height_m or class_of(support.voltage_kv, minor=minor).height_m
+        if support.what == "pylon":
+            height_m = support.height_m or _OTHER_ROPEWAY_M
+        name = _unique(_name(support.label)[:28] or support.what or "tower", taken)
+        lat_deg, lon_deg = map(_deg, support.lat_lon_deg)
+        center = mission.Place(lat_deg=lat_deg, lon_deg=lon_deg)
+        return mission.Cylinder(kind="cylinder", name=name, center=center, radius_m=6.0, top_height_agl_m=height_m)
+
+    def _tall(self, feature: MapFeature, taken: set[str]) -> tuple[mission.Cylinder, str] | None:
+        """Return a mast, chimney or wind turbine; without a height it has no upper limit."""
+        tags = feature.tags
+        places = self._xy([(float(lat), float(lon)) for lat, lon in feature.lat_lon_deg])
+        middle = (places.min(axis=0) + places.max(axis=0)) / 2
+        outline_m = float(np.linalg.norm(places - middle, axis=1).max())
+        height_m = _metres(tags, "height")
+        what = tags.get("man_made", "wind-turbine")
+        if "man_made" not in tags:
+            rotor_m = _metres(tags, "rotor:diameter")
+            radius_m = rotor_m / 2 if rotor_m else _ROTOR_RADIUS_M
+            hub_m = _metres(tags, "height:hub")
+            height_m = hub_m + radius_m if height_m is None and hub_m else height_m
+        else:
+            radius_m = max(outline_m, (_metres(tags, "diameter") or _metres(tags, "width") or 0.0) / 2, _MAST_RADIUS_M)
+            guyed = "guyed" in tags.get("tower:construction", "") or tags.get("guyed") == "yes"
+            maybe = what == "mast" and "tower:construction" not in tags
+            if guyed or (maybe and (height_m or math.inf) > _GUYED_FROM_M):
+                radius_m = max(radius_m, _GUYS_SHARE * (height_m or 2 * _GUYED_FROM_M))
+        if not self._near(middle, radius_m):
+            return None
+        lat_deg, lon_deg, _ = self._frame.to_geo(np.append(middle, 0.0))
+        label = _name(tags.get("name", ""))[:24]
+        obstacle = mission.Cylinder(
+            kind="cylinder",
+            name=_unique(label or _name(what), taken),
+            center=mission.Place(lat_deg=_deg(float(lat_deg)), lon_deg=_deg(float(lon_deg))),
+            radius_m=round(radius_m, 1),
+            top_height_agl_m=height_m,
+        )
+        unknown = "" if height_m else ", height unknown: no upper limit"
+        return obstacle, f"{what} ({feature.source}){unknown}"
+
+    # --- who flies
+
+    def _all_homes(self) -> list[tuple[tuple[float, float], str]]:
+        """Return per vehicle its home and what to say of it."""
+        given, wanted = self._wishes.homes_deg, self._wishes.vehicles
+        clear = self._is_clear()
+        homes: list[tuple[float, float]] = []  # x, y
+        told: list[str] = []
+        for v in range(wanted):
+            if v < len(given):
+                homes.append(tuple(self._xy([given[v]])[0].tolist()))
+                told.append("as given")
+                continue
+            if given:
+                candidates = self._around(self._xy([given[v % len(given)]])[0])
+                what = f"assumed, beside home {v % len(given) + 1}"
+            else:
+                candidates = self._beside_line(v, wanted)
+                what = "assumed, beside the line"
+            homes.append(self._first_good(list(candidates), homes, clear))
+            told.append(f"{what}: check on the spot")
+        if not given:
+            self._notes.append(
+                f"homes: {wanted} sites beside the lines were assumed, clear of what is on the map"
+                + (
+                    " and on level ground"
+                    if self._terrain is not None
+                    else "; no terrain was at hand to look for level ground"
+                )
+                + ": check each on the spot (buildings, trees, roads and owners are not on the map), or give --home"
+            )
+        positions = np.array([[x, y, 0.0] for x, y in homes])
+        lat_deg, lon_deg, _ = self._frame.to_geo(positions)
+        places = list(zip(lat_deg.tolist(), lon_deg.tolist(), strict=True))
+        return list(zip([*given[:wanted], *places[len(given) :]], told, strict=True))
+
+    def _beside_line(self, vehicle: int, vehicles: int) -> Iterator[FloatArray]:
+        """Yield places beside the middle of a vehicle's equal part of the lines, then ever further along them."""
+        spans = [
+            (a, b)
+            for run in self._runs
+            for a, b in itertools.pairwise(run.supports)
+            if self._inside[a] and self._inside[b]
+        ] or [pair for run in self._runs for pair in itertools.pairwise(run.supports)]
+        begin = int((vehicle + 0.5) / vehicles * len(spans))
+        order = sorted(range(len(spans)), key=lambda k: (abs(k - begin), k))
+        for k in order[:40]:
+            a, b = self._xy(self._places(spans[k]))
+            way = (b - a) / max(float(np.linalg.norm(b - a)), 1.0)
+            across = np.array([-way[1], way[0]])
+            for away_m, side in itertools.product(_HOME_AWAY_M, (1.0, -1.0)):
+                yield (a + b) / 2 + side * away_m * across
+
+    def _around(self, home_m: FloatArray) -> Iterator[FloatArray]:
+        steps = sorted(itertools.product(range(-8, 9), repeat=2), key=lambda s: (s[0] ** 2 + s[1] ** 2, s))
+        for step in steps[1:]:
+            yield home_m + _HOME_PITCH_M * np.array(step, dtype=np.float64)
+
+    def _first_good(
+        self,
+        candidates: Sequence[FloatArray],
+        homes: Sequence[tuple[float, float]],
+        clear: Callable[[FloatArray], bool],
+    ) -> tuple[float, float]:
+        for slope_deg in _HOME_SLOPES_DEG:
+            for at_m in candidates:
+                apart = all(math.hypot(at_m[0] - x, at_m[1] - y) >= _HOME_PITCH_M - 1e-6 for x, y in homes)
+                if apart and clear(at_m) and self._is_level(at_m, slope_deg):
+                    return float(at_m[0]), float(at_m[1])
+        raise MissionError(
+            f"--home: expected a level place for each vehicle, clear of lines, near the towers, got {len(homes)} such "
+            "places: give homes, or fewer --vehicles"
+        )
+
+    def _is_level(self, at_m: FloatArray, slope_deg: float) -> bool:
+        if self._terrain is None:
+            return True
+        slope = float(steepest(self._terrain.arrays, float(at_m[0]), float(at_m[1]), 2 * _TUBE_M))
+        return slope <= math.tan(math.radians(slope_deg))
+
+    def _is_clear(self) -> Callable[[FloatArray], bool]:
+        """Return who tells whether a home could be at a place: within the area, away from all that stands around."""
+        starts: list[FloatArray] = []
+        ends: list[FloatArray] = []
+        need: list[float] = []
+
+        def span(places: Sequence[tuple[float, float]], radius_m: float) -> None:
+            xy_m = self._xy(places)
+            starts.extend(xy_m[:-1] if len(xy_m) > 1 else xy_m)
+            ends.extend(xy_m[1:] if len(xy_m) > 1 else xy_m)
+            need.extend([radius_m + _HOME_CLEAR_M] * max(1, len(xy_m) - 1))
+
+        for run in self._runs:
+            span(self._places(run.supports), self._of_line.half_width_m)
+        for obstacle in self._obstacles:
+            if isinstance(obstacle, mission.OverheadLine):
+                span([(p.lat_deg or 0.0, p.lon_deg or 0.0) for p in obstacle.supports], obstacle.cable_radius_m)
+            elif isinstance(obstacle, mission.Cylinder):
+                span([(obstacle.center.lat_deg or 0.0, obstacle.center.lon_deg or 0.0)], obstacle.radius_m)
+        a, b, least = np.array(starts), np.array(ends), np.array(need)
+        square = np.maximum(((b - a) ** 2).sum(axis=1), 1e-9)
+        west, south, east, north = self._area
+
+        def clear(at_m: FloatArray) -> bool:
+            inside = west + 50.0 <= at_m[0] <= east - 50.0 and south + 50.0 <= at_m[1] <= north - 50.0
+            share = np.clip(((at_m - a) * (b - a)).sum(axis=1) / square, 0.0, 1.0)
+            away_m = np.linalg.norm(a + share[:, None] * (b - a) - at_m, axis=1)
+            return bool(inside and (away_m >= least).all())
+
+        return clear
+
+    # --- the file
+
+    def _tower_height(self, s: int) -> tuple[float, bool]:
+        """Return a tower's height, and whether it was assumed."""
+        support = self._map.supports[s]
+        if support.height_m is not None:
+            return support.height_m, False
+        if self._wishes.tower_height_m is not None:
+            return self._wishes.tower_height_m, True
+        wires = [run.wire for run in self._runs if s in run.supports]
+        return max(class_of(wire.voltage_kv, minor=wire.minor).height_m for wire in wires), True
+
+    def mission(self) -> ImportedMission:
+        """Return the file."""
+        inspected = sum(self._inside[s] for s in self._inspected)
+        unknown = sum(self._tower_height(s)[1] for s in self._inspected)
+        loose = sum(not self._map.supports[s].tagged for s in self._inspected)
+        notes = self._notes
+        if unknown:
+            notes.append(f"heights of {unknown} of {len(self._inspected)} towers were assumed: fill in height_m")
+        if loose:
+            notes.append(f"{loose} towers are vertices of lines without a tower on the map: marked assumed: [place]")
+        for name, run in zip(self._line_names, self._runs, strict=True):
+            if run.wire.ordered_by:
+                notes.append(f"line {name}: towers in order of {run.wire.ordered_by}: check it")
+        if self._map.unused.get("underground"):
+            notes.append(f"{self._map.unused['underground']} cables in the ground or under water were left out")
+        if any(wire.voltage_kv is None for wire in self._chosen):
+            notes.append(f"voltages of some lines are unknown: {self._of_line.safety_m:g} m are kept from conductors")
+        if self._terrain is None:
+            notes.append("no terrain: fill in terrain.file (or import with --terrain); nothing is proven without it")
+        text = "\n".join(self._text(notes)) + "\n"
+        return ImportedMission(
+            text=text,
+            lines=tuple(
+                (name, len(run.supports), run.wire.voltage_kv)
+                for name, run in zip(self._line_names, self._runs, strict=True)
+            ),
+            towers=inspected,
+            obstacles=len(self._obstacles),
+            notes=tuple(notes),
+        )
+
+    def _text(self, notes: Sequence[str]) -> Iterator[str]:
+        wishes, of_line = self._wishes, self._of_line
+        yield f"# An inspection of {len(self._runs)} lines, imported from {', '.join(self._sources)}."
+        if self._map.openstreetmap:
+            yield "# Data (c) OpenStreetMap contributors, Open Database License 1.0: https://www.openstreetmap.org/copyright"
+        yield "# What the map does not say was assumed. Check it before anybody flies; only then delete these lines:"
+        yield from (f"# - {_one_line(note)}" for note in notes)
+        yield f"name: {_flow(wishes.name)}"
+        yield f"origin: {_flow(_geo(self._frame.origin_lat_deg, self._frame.origin_lon_deg))}"
+        corners = np.array([[self._area[0], self._area[1], 0.0], [self._area[2], self._area[3], 0.0]])
+        lat_deg, lon_deg, _ = self._frame.to_geo(corners)
+        yield "area: # paths stay in here: beyond it, nobody looked for obstacles"
+        for name, lat, lon in zip(("south_west", "north_east"), lat_deg.tolist(), lon_deg.tolist(), strict=True):
+            yield f"  {name}: {_flow(_geo(lat, lon))}"
+        yield from self._terrain_text()
+        yield from self._obstacles_text()
+        yield "inspection:"
+        if self._any_dates():
+            yield f"  as_of: {_flow(wishes.as_of)} # the days since last_inspected are a tower's priority"
+        yield (
+            f"  safety_distance_m: {of_line.safety_m:g} # to conductors, by voltage: DIN VDE 0105-100, docs/IMPORT.md; "
+            "ask the line's owner"
+        )
+        yield f"  conductor_radius_m: {of_line.half_width_m:g} # assumed: half the width of the conductors"
+        views = {"kind": "two_sides", "distance_m": self._distance_m(), "below_top_m": [5], "hold_s": 3}
+        yield f"  views: {_flow(views)}"
+        yield "  spans: none # or, to fly along the conductors: {sides: left, lateral_m: 30, vertical_m: 5}"
+        yield "  camera: {preset: sony_rx0m2} # assumed; the command cameras lists others"
+        yield "  assignment: {objective: makespan} # or priority, balanced: planning finds who inspects what"
+        yield "  lines:"
+        for name, run in zip(self._line_names, self._runs, strict=True):
+            line = {
+                "name": name,
+                "voltage_kv": run.wire.voltage_kv,
+                "towers": [self._tower_names[s] for s in run.supports],
+            }
+            shown = _flow({k: v for k, v in line.items() if v is not None})
+            yield f"    - {shown} # {_one_line(run.wire.title)}"
+        yield "  towers:"
+        for s in self._inspected:
+            yield f"    - {_flow(self._tower(s))}"
+        yield from self._fleet_text()
+
+    def _any_dates(self) -> bool:
+        return any(self._map.supports[s].last_inspected for s in self._inspected)
+
+    def _tower(self, s: int) -> dict[str, Any]:
+        support = self._map.supports[s]
+        height_m, guessed = self._tower_height(s)
+        tower: dict[str, Any] = {"name": self._tower_names[s], **_geo(*support.lat_lon_deg), "height_m": height_m}
+        if support.last_inspected:
+            today = self._wishes.as_of
+            if today is not None and support.last_inspected > today:
+                raise MissionError(
+                    f"{support.source}: expected a last inspection not after {today} (--as-of), got "
+                    f"{support.last_inspected}"
+                )
+            tower["last_inspected"] = support.last_inspected
+        if not self._inside[s]:
+            tower["views"] = "none"  # beyond the border: an obstacle only
+        assumed = [*(["height_m"] if guessed else []), *([] if support.tagged else ["place"])]
+        return tower | ({"assumed": assumed} if assumed else {})
+
+    def _distance_m(self) -> float:
+        """Return how far from a tower's axis one may look at it: the conductors and all margins fit between."""
+        need_m = self._of_line.half_width_m + self._obstacle_m() + _TUBE_M + 2.0
+        return max(25.0, math.ceil(need_m))
+
+    def _obstacle_m(self) -> float:
+        return max(_OBSTACLE_M, self._of_line.safety_m)
+
+    def _terrain_text(self) -> Iterator[str]:
+        if self._terrain is None:
+            yield "terrain: # fill in an elevation model of the area (GeoTIFF, HGT): nothing can be proven without"
+            yield f"  {{kind: raster, file: {_flow(str(NO_TERRAIN))}, vertical_error_m: 4}}"
+            return
+        error_m = 9 if self._terrain.spacing_m > 45.0 else 4
+        yield f"terrain: # {self._terrain.description}; its error is assumed: look it up"
+        yield "  " + _flow(
+            {"kind": "raster", "file": str(self._wishes.terrain_as_written), "vertical_error_m": error_m}
+        )
+
+    def _obstacles_text(self) -> Iterator[str]:
+        if not self._obstacles:
+            yield "obstacles: [] # none on the map: add what you know"
+            return
+        yield "obstacles: # also add what the map does not hold: trees, buildings, cranes"
+        for obstacle in self._obstacles:
+            comment = f" # {_one_line(self._obstacle_comments[obstacle.name])}"
+            if isinstance(obstacle, mission.OverheadLine):
+                head = {"kind": "line", "name": obstacle.name, "cable_radius_m": obstacle.cable_radius_m}
+                if obstacle.assumed:
+                    head["assumed"] = list(obstacle.assumed)
+                first, *rest = head.items()
+                yield f"  - {first[0]}: {_flow(first[1])}{comment}"
+                yield from (f"    {key}: {_flow(value)}" for key, value in rest)
+                yield "    supports:"
+                for point in obstacle.supports:
+                    yield f"      - {_flow(point.model_dump(exclude_none=True))}"
+            else:
+                yield f"  - {_flow(obstacle.model_dump(exclude_none=True))}{comment}"
+
+    def _fleet_text(self) -> Iterator[str]:
+        yield "defaults: # assumed: fill in what your vehicles are"
+        yield "  autopilot: ardupilot"
+        yield "  speed_m_s: {min: 3, max: 10}"
+        yield "  endurance_s: 1500 # hovering in calm air at sea level"
+        safety = {"terrain_m": 10, "obstacle_m": self._obstacle_m()}
+        yield f"  safety: {_flow(safety)} # obstacle_m: inspection.safety_distance_m or more"
+        yield "vehicles:"
+        for k, (place, told) in enumerate(self._homes, start=1):
+            yield f"  - {_flow({'name': f'copter-{k}', 'home': _geo(*place)})} # {told}"
+        yield "fleet: {separation_m: 20, arrive_together: false}"
+
+
+_SWAP = "are latitude and longitude the wrong way round in the map?"
+_MADE_UP = ("height_agl_m", "place")
+_CUT_HIGHER_M = 20.0  # than its towers, a span that is cut off where the terrain ends: it may hang over a valley
+
+
+@dataclass(frozen=True, slots=True)
+class _Top:
+    """The top of a support of an obstacle."""
+
+    place_deg: tuple[float, float]
+    height_m: float
+    assumed: tuple[str, ...]
+
+
+def _is_called(wire: Wire, asked: str) -> bool:
+    """Return whether a line has this voltage, ref or name, or a name with this in it."""
+    volts = re.fullmatch(r"\s*(\d+(?:[.,]\d+)?)\s*kv\s*", asked.lower())
+    if volts:
+        return wire.voltage_kv == number(volts.group(1))
+    said = plain(asked)
+    whole = {plain(part) for label in wire.labels for part in (label, *re.split(r"[;|]", label), _name(label))}
+    return said in whole or (len(said) > 3 and any(said in plain(label) for label in wire.labels))
+
+
+def _of_highest_voltage(wires: Sequence[Wire]) -> list[Wire]:
+    """Return the lines of the highest class of voltage; where no voltage is known, those that are not minor."""
+    known = [wire.voltage_kv for wire in wires if wire.voltage_kv is not None]
+    if known:
+        return [wire for wire in wires if wire.voltage_kv is not None and wire.voltage_kv >= 0.85 * max(known)]
+    return [wire for wire in wires if not wire.minor] or list(wires)
+
+
+def _volts(wires: Sequence[Wire]) -> str:
+    known = sorted({wire.voltage_kv for wire in wires if wire.voltage_kv is not None}, reverse=True)
+    return f"{len(wires)} lines" + (f" of {', '.join(f'{kv:g}' for kv in known)} kV" if known else "")
+
+
+def _metres(tags: Mapping[str, str], name: str) -> float | None:
+    match = re.fullmatch(r"~?\s*([\d.,]+)\s*(?:m|metres?|meters?)?", tags.get(name, "").strip().lower())
+    metres = number(match.group(1)) if match else None
+    return metres if metres else None
+
+
+def _between(a: tuple[float, float], b: tuple[float, float], share: float) -> tuple[float, float]:
+    return a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1])
+
+
+def _name(text: str) -> str:
+    """Return a text as a name that mission files allow."""
+    return re.sub(r"[^\w.]+", "-", text).strip("-.")[:40].rstrip("-.")
+
+
+def _unique(name: str, taken: Sequence[str] | set[str]) -> str:
+    """Return a name, or the name with the first number that makes it one of its own."""
+    if name not in taken:
+        return name
+    return next(tried for k in itertools.count(2) if (tried := f"{name[:35]}-{k}") not in taken)
+
+
+def _deg(value: float) -> float:
+    return round(value, 7)
+
+
+def _geo(lat_deg: float, lon_deg: float) -> dict[str, float]:
+    return {"lat_deg": _deg(lat_deg), "lon_deg": _deg(lon_deg)}
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _flow(value: Any) -> str:
+    """Return a value as YAML on one line."""
+    match value:
+        case dict():
+            return "{" + ", ".join(f"{key}: {_flow(part)}" for key, part in value.items()) + "}"
+        case list() | tuple():
+            return "[" + ", ".join(map(_flow, value)) + "]"
+        case bool():
+            return str(value).lower()
+        case float():
+            return str(int(value)) if value == int(value) else repr(value)
+        case str():
+            plain_text = re.fullmatch(r"[A-Za-z_][\w.-]*|\d{4}-\d{2}-\d{2}", value) and value.lower() not in _YAML_WORDS
+            return value if plain_text else json.dumps(value, ensure_ascii=False)
+        case _:
+            return str(value)
+
+
+_YAML_WORDS = {"true", "false", "null", "yes", "no", "on", "off", "y", "n"}
