@@ -47,7 +47,7 @@ def tower_csv(rows: Sequence[TowerRow]) -> str:
 
 
 def tower_geojson(rows: Sequence[TowerRow], name: str) -> str:
-    """Return the table as a GeoJSON feature collection; its places have no heights: they would be above the ellipsoid."""
+    """Return the table as a GeoJSON feature collection, without heights: they would be above the ellipsoid."""
     features = []
     for row in rows:
         places = [[round(lon_deg, 7), round(lat_deg, 7)] for lat_deg, lon_deg in row.place_deg]

@@ -5,11 +5,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from missionplanner.coverage import Coverage, SideSeen, SpanSeen
 from missionplanner.geodesy import FloatArray
 from missionplanner.inspection import InspectionPlan, Round
 from missionplanner.mission import Inspection
@@ -17,6 +16,9 @@ from missionplanner.plan import VehiclePlan
 from missionplanner.scene import Scene
 from missionplanner.views import Visit
 from missionplanner.waypoints import passes
+
+if TYPE_CHECKING:
+    from missionplanner.coverage import Coverage, SideSeen, SpanSeen
 
 Status = Literal["planned", "left out", "done before"]
 
