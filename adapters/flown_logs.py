@@ -65,8 +65,11 @@ _WANTED = frozenset(
         mavlink.MAVLINK_MSG_ID_STATUSTEXT,
         mavlink.MAVLINK_MSG_ID_COMMAND_LONG,
         mavlink.MAVLINK_MSG_ID_COMMAND_ACK,
+        mavlink.MAVLINK_MSG_ID_CAMERA_FEEDBACK,
+        mavlink.MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED,
     }
 )
+_OF_CAMERAS = ("CAMERA_FEEDBACK", "CAMERA_IMAGE_CAPTURED")
 _MOVED_M = 2.0
 _PLAN_STEP_S = 0.02
 _AT_HOME_M = 30.0
@@ -172,6 +175,58 @@ def read_flown(paths: Sequence[Path], plan: FleetPlan) -> FlownLogs:
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Where a vehicle was by its logs, whatever its mission, and where it took photos."""
+
+    sysid: int
+    trajectory: Trajectory  # since the first position of all logs
+    photos: Trajectory | None  # None: no log tells of any
+
+
+def read_tracks(paths: Sequence[Path], frame: LocalFrame) -> tuple[tuple[Track, ...], tuple[str, ...]]:
+    """Read logs as what they show of vehicles, one track for each; and what of the logs is lost, a line each.
+
+    Raises
+    ------
+    MissionError
+        A log cannot be read, or none holds a position.
+    """
+    found = _Found()
+    by_sysid, _ = _sorted(_read(paths, found))
+    if found.problems:
+        raise MissionError("; ".join(found.problems))
+    places = {sysid: _positions(records, frame) for sysid, records in sorted(by_sysid.items())}
+    places = {sysid: track for sysid, track in places.items() if len(track[0])}
+    if not places:
+        raise MissionError(f"{paths[0]}: expected vehicles' positions (GLOBAL_POSITION_INT), got none")
+    begin_s = min(float(at_s[0]) for at_s, _ in places.values())
+    tracks = [
+        Track(sysid, Trajectory(at_s - begin_s, position_m), _photos(by_sysid[sysid], frame, begin_s))
+        for sysid, (at_s, position_m) in places.items()
+    ]
+    return tuple(tracks), tuple(found.notes)
+
+
+def _photos(records: Records, frame: LocalFrame, begin_s: float) -> Trajectory | None:
+    """Return when and where photos were taken: once each, though some are told of repeatedly."""
+    taken: dict[tuple[str, int, int, int], tuple[float, FloatArray]] = {}
+    for at_s, m in records:
+        match m.get_type():
+            case "CAMERA_FEEDBACK":  # ArduPilot
+                key, where = ("feedback", m.img_idx, m.lat, m.lng), (m.lat, m.lng, m.alt_msl)
+            case "CAMERA_IMAGE_CAPTURED" if m.capture_result == 1:  # PX4, and cameras
+                key, where = ("captured", m.image_index, m.lat, m.lon), (m.lat, m.lon, m.alt / 1e3)
+            case _:
+                continue
+        lat, lon, alt_m = where
+        taken.setdefault(key, (at_s, frame.to_local(wire_to_degrees(lat), wire_to_degrees(lon), alt_m)))
+    if not taken:
+        return None
+    times_s, places_m = zip(*taken.values(), strict=True)
+    return Trajectory(np.array(times_s) - begin_s, np.array(places_m))
+
+
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
@@ -234,14 +289,14 @@ def _frames(count: int) -> str:
 
 
 def _sorted(records: Records) -> tuple[dict[int, Records], dict[int, list[float]]]:
-    """Return the autopilots' messages by sysid, and when MISSION_START was sent to each."""
+    """Return the autopilots' messages, and what cameras tell of photos, by sysid; when MISSION_START went to each."""
     by_sysid: dict[int, Records] = defaultdict(list)
     commands: dict[int, list[float]] = defaultdict(list)
     for at_s, message in records:
         if message.get_type() == "COMMAND_LONG":
             if message.command == mavlink.MAV_CMD_MISSION_START:
                 commands[message.target_system].append(at_s)
-        elif message.get_srcComponent() == AUTOPILOT_COMPONENT:
+        elif message.get_srcComponent() == AUTOPILOT_COMPONENT or message.get_type() in _OF_CAMERAS:
             by_sysid[message.get_srcSystem()].append((at_s, message))
     return by_sysid, commands
 

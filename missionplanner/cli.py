@@ -616,6 +616,7 @@ def _proven_inspection(
     target: Path, output: Path | None, seed: int | None, *, unproven: bool
 ) -> Iterator[tuple[InspectionPlan, Path]]:
     """Yield an inspection, of a folder or of a mission file, which is planned first; no other gets it, nor a round."""
+    from missionplanner.files import ensure_writable
     from missionplanner.inspection_folder import load_inspection
 
     if target.is_dir():
@@ -630,6 +631,7 @@ def _proven_inspection(
         return
     question = _question(target)
     folder = output or _default_folder(question)
+    ensure_writable(folder)
     with inspection_commands.alone_in(folder, _BUSY):
         planned = inspection_commands.plan_into(question, target, folder, seed=seed, done=frozenset(), write=_write)
         yield planned, folder

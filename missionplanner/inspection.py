@@ -18,7 +18,7 @@ from missionplanner import mission, planner, views, wind
 from missionplanner.assignment import Assignment, Tour, assign
 from missionplanner.errors import InfeasibleError, MissionError
 from missionplanner.mission import Area, Direction, Fleet, Inspection, Mission, Place, Point, Stop
-from missionplanner.plan import Action, FleetPlan
+from missionplanner.plan import FleetPlan
 from missionplanner.planner import UnprovenError, Watch
 from missionplanner.returns import UnreturnableError
 from missionplanner.scene import Scene, build_check_scene, build_scene
@@ -42,18 +42,6 @@ class Round:
     def lasts_s(self) -> float:
         """From the start until all have landed, as predicted."""
         return max(float(vehicle.trajectory.t_s[-1]) for vehicle in self.plan.vehicles)
-
-
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """When and by whom a target is looked at, in seconds after its round's start; ``photos`` by count of stops."""
-
-    target: str
-    round: int  # from 1
-    vehicle: str
-    begins_s: float
-    ends_s: float
-    photos: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +70,18 @@ class InspectionPlan:
     @property
     def share(self) -> float:
         """The share of the towers' weight that is inspected, or was before (PAPER.md eq. 6)."""
-        return share(self.scene, {*self.inspected, *self.done})
+        return self.share_of({*self.inspected, *self.done})
+
+    def share_of(self, targets: Collection[str]) -> float:
+        """Return the share of the towers' weight that these targets are; where only spans are asked for, of those."""
+        towers = self.scene.towers
+        asked = {visit.target for visit in self.visits} | {left.target for left in self.left_out}
+        weights = {} if towers is None else dict(zip(towers.names, towers.weight.tolist(), strict=True))
+        parts = {name: weights[name] for name in asked if name in weights}
+        if not parts:
+            parts = dict.fromkeys(asked, 1.0)
+        whole = math.fsum(parts.values())
+        return math.fsum(part for name, part in parts.items() if name in targets) / whole if whole > 0.0 else 1.0
 
     @property
     def share_min(self) -> float:
@@ -100,11 +99,6 @@ class InspectionPlan:
     def makespan_s(self) -> float:
         """From the first start to the last landing, with the changes of batteries between rounds."""
         return sum(r.lasts_s for r in self.rounds) + self.swap_s * max(0, len(self.rounds) - 1)
-
-    @property
-    def planned(self) -> tuple[Planned, ...]:
-        """Who looks at what, and when: a row for each vehicle and round of a target."""
-        return tuple(row for number, round_ in enumerate(self.rounds, start=1) for row in _planned(number, round_))
 
 
 def plan_inspection(
@@ -157,18 +151,6 @@ def open_scene(question: Mission, folder: Path) -> Scene:
     if not question.is_open:
         raise MissionError("inspection.assignment: expected this field, got none: vehicles have stops of their own")
     return build_check_scene(question, folder, [])
-
-
-def share(scene: Scene, targets: Collection[str]) -> float:
-    """Return the share of the towers' weight that these targets are (PAPER.md eq. 6)."""
-    if scene.towers is None:
-        return 1.0
-    weights = dict(zip(scene.towers.names, scene.towers.weight.tolist(), strict=True))
-    asked = {tower.name for tower in _inspection(scene).towers if tower.views != "none"}
-    whole = sum(weight for name, weight in weights.items() if name in asked)
-    return (
-        sum(weight for name, weight in weights.items() if name in asked and name in targets) / whole if whole else 1.0
-    )
 
 
 def round_mission(scene: Scene, tours: Sequence[Tour], number: int) -> Mission:
@@ -422,19 +404,6 @@ def _expect_share(plan: InspectionPlan) -> None:
         f"inspection.share_min: expected {least:.0%} of the towers' weight (eq. 6), got {plan.share:.1%}: left out are "
         f"{'; '.join(told[:3])}{more}"
     )
-
-
-def _planned(number: int, round_: Round) -> Iterator[Planned]:
-    for vehicle in round_.plan.vehicles:
-        at: dict[str, list[tuple[float, Action, float]]] = {}
-        for waypoint, action in sorted(vehicle.actions.items()):
-            if action.inspects:
-                leg_m = math.dist(vehicle.waypoints_m[waypoint], vehicle.waypoints_m[waypoint - 1]) if waypoint else 0.0
-                at.setdefault(action.inspects, []).append((float(vehicle.reached_s[waypoint]), action, leg_m))
-        for target, found in at.items():
-            photos = sum(a.photos + (int(leg_m / a.photo_every_m) if a.photo_every_m else 0) for _, a, leg_m in found)
-            times_s = [t_s for t_s, _, _ in found]
-            yield Planned(target, number, vehicle.name, min(times_s), max(times_s), photos)
 
 
 def _inspection(scene: Scene) -> Inspection:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,14 +18,16 @@ if TYPE_CHECKING:  # the planner takes a second to import
     from rich.progress import TaskID
 
     from missionplanner.certificate import Certificate
+    from missionplanner.coverage import Coverage
     from missionplanner.flight_check import FlightCheck
     from missionplanner.inspection import InspectionPlan, Round
     from missionplanner.mission import Mission
-    from missionplanner.plan import FleetFlight, FleetPlan
+    from missionplanner.plan import FleetFlight, FleetPlan, Trajectory
     from missionplanner.scene import Scene
 
 INSPECTION_NAME = "inspection.json"
 _TOLD = 5
+_SAME = 1e-9
 
 WritePlan = Callable[[Path, "Scene", "FleetPlan"], "FleetPlan"]
 """Writes a plan folder and what goes with it, refuses a plan that is not proven, and returns it with its proof."""
@@ -258,11 +260,13 @@ def fly(
     from missionplanner.inspection_folder import round_folder
 
     flown: list[FlownRound] = []
+    flights = Flights()
     problems: list[str] = []
     for number, round_ in enumerate(planned.rounds, start=1):
         at = round_folder(folder, number)
         done = fly_round(at, round_.scene, round_.plan)
         flown.append(done)
+        flights += _latest(at, round_.plan)
         missing = [vehicle.name for vehicle in done.flight.vehicles if vehicle.arrival_s is None]
         if missing:
             problems.append(f"round {number}: {', '.join(missing)} never reached the goal: see {done.report}")
@@ -270,18 +274,32 @@ def fly(
             problems.append(f"round {number}: the flight did not keep every clearance: see {done.report}")
         if problems:
             break  # the next round begins when all have landed, and were flown as proven
-    show(planned, folder, as_json, flown)
+    seen = flights.measured(planned.scene)
+    with stderr.status("writing what was seen"):
+        files = write_coverage(folder, planned.scene, seen, flights, planned)
+    show(planned, folder, as_json, flown, seen, files)
+    missed = [target for target in planned.inspected if target not in seen.done]
+    if missed:
+        more = f" and {len(missed) - _TOLD} more" if len(missed) > _TOLD else ""
+        problems.append(f"not seen from all sides: {', '.join(missed[:_TOLD])}{more}: see {files['coverage']}")
     return problems
 
 
-def show(planned: InspectionPlan, folder: Path, as_json: bool, flown: Sequence[FlownRound] = ()) -> None:
-    """Show an inspection as planned and, where it was, as flown."""
+def show(
+    planned: InspectionPlan,
+    folder: Path,
+    as_json: bool,
+    flown: Sequence[FlownRound] = (),
+    seen: Coverage | None = None,
+    written: Mapping[str, Path] | None = None,
+) -> None:
+    """Show an inspection as planned and, where it was, as flown and seen."""
     from missionplanner.summary import inspection_lines, inspection_table, summarise_inspection
 
-    summary = summarise_inspection(planned, [(f.flight, f.check) for f in flown])
-    files = {"folder": str(folder), "inspection": str(folder / INSPECTION_NAME)}
+    summary = summarise_inspection(planned, [(f.flight, f.check) for f in flown], seen)
+    files = {"folder": folder, "inspection": folder / INSPECTION_NAME, **(written or {})}
     if as_json:
-        print_json(summary | files)
+        print_json(summary | {name: str(path) for name, path in files.items()})
         return
     stdout.print(inspection_table(summary))
     for line in [*inspection_lines(summary), *(f"{what}: {path}" for what, path in files.items())]:
@@ -330,8 +348,182 @@ def cameras(
     stdout.print(table)
 
 
+def coverage(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="an inspection, or a plan folder of one round")],
+    log: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="TLOG|FOLDER", help="what was flown; may be repeated; default: the latest flights in FOLDER"
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON on stdout instead of tables")] = False,
+) -> None:
+    """Tell what flown tracks and photos show of an inspection; exit code 3 below inspection.share_min (eq. 6).
+
+    Tables and a map are written to FOLDER.
+    """
+    asked = _Asked.of(folder)
+    seen = _recorded(asked.scene, log) if log else asked.flights()
+    if not seen.tracks:
+        raise MissionError(f"{folder}: expected flights, got none: fly it first, or name logs with --log")
+    found = seen.measured(asked.scene)
+    with stderr.status("writing"):
+        files = write_coverage(folder, asked.scene, found, seen, asked.planned)
+    share = found.share if asked.planned is None else asked.planned.share_of(found.done | asked.planned.done)
+    summary = {
+        "mission": asked.scene.mission.name,
+        **found.as_json(),
+        "share": round(share, 4),
+        "share_min": asked.share_min,
+        "done_before": [] if asked.planned is None else sorted(asked.planned.done),
+    }
+    if as_json:
+        print_json(summary | {"notes": list(seen.notes)} | {name: str(path) for name, path in files.items()})
+    else:
+        from missionplanner.summary import coverage_lines, coverage_table
+
+        stdout.print(coverage_table(summary))
+        for line in [*coverage_lines(summary), *seen.notes, *(f"{what}: {path}" for what, path in files.items())]:
+            stdout.print(line, soft_wrap=True, highlight=False, markup=False)
+    if share < asked.share_min - _SAME:
+        print(
+            f"missionplanner: {folder}: expected {asked.share_min:.0%} of the towers' weight to be seen (eq. 6), got "
+            f"{share:.1%}",
+            file=sys.stderr,
+        )
+        raise typer.Exit(InfeasibleError.exit_code)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Flights:
+    """Recorded flights: where vehicles were, who, and where they took photos."""
+
+    tracks: tuple[Trajectory, ...] = ()
+    names: tuple[str, ...] = ()
+    photos: tuple[Trajectory | None, ...] = ()  # None: no log tells
+    notes: tuple[str, ...] = ()  # what of logs is lost
+
+    def measured(self, scene: Scene) -> Coverage:
+        """Return what they have seen."""
+        from missionplanner.coverage import measure
+
+        return measure(scene, self.tracks, names=self.names, photos=self.photos)
+
+    def __add__(self, other: Flights) -> Flights:
+        return Flights(
+            self.tracks + other.tracks,
+            self.names + other.names,
+            self.photos + other.photos,
+            self.notes + other.notes,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Asked:
+    """What a folder's mission asks to be seen, and the plans that were made of it."""
+
+    scene: Scene
+    share_min: float
+    plans: tuple[tuple[Path, FleetPlan], ...]
+    planned: InspectionPlan | None
+
+    @classmethod
+    def of(cls, folder: Path) -> _Asked:
+        from missionplanner.inspection_folder import load_inspection, round_folder
+        from missionplanner.plan_folder import load_plan
+
+        if is_inspection(folder):
+            planned = load_inspection(folder)
+            plans = tuple((round_folder(folder, k), r.plan) for k, r in enumerate(planned.rounds, start=1))
+            return cls(planned.scene, planned.share_min, plans, planned)
+        if is_inspection(folder.parent):
+            raise MissionError(f"{folder}: expected the whole inspection, got a round of it: name {folder.parent}")
+        scene, plan = load_plan(folder)
+        if scene.towers is None:
+            raise MissionError(f"{folder}: expected a mission with inspection.towers, got none to be seen")
+        return cls(scene, scene.towers.share_min, ((folder, plan),), None)
+
+    def flights(self) -> Flights:
+        """Return the latest flight of every plan that was flown."""
+        return sum((_latest(folder, plan) for folder, plan in self.plans), Flights())
+
+
+def _latest(folder: Path, plan: FleetPlan) -> Flights:
+    from adapters.flown_logs import read_tracks
+    from adapters.telemetry_log import latest_flight
+    from missionplanner.plan_folder import load_flight
+
+    flight = load_flight(folder, plan)
+    if flight is None:
+        return Flights()
+    log = latest_flight(folder / "logs", [vehicle.sysid for vehicle in plan.vehicles])
+    tracks, notes = ((), ()) if log is None else read_tracks([log], plan.frame)
+    photos = {track.sysid: track.photos for track in tracks}
+    return Flights(
+        tuple(vehicle.trajectory for vehicle in flight.vehicles),
+        tuple(vehicle.name for vehicle in flight.vehicles),
+        tuple(photos.get(vehicle.sysid) for vehicle in flight.vehicles),
+        notes,
+    )
+
+
+def _recorded(scene: Scene, paths: Sequence[Path]) -> Flights:
+    """Return what logs show, of files or of all in folders: of rounds, too, and of flights before the latest."""
+    from adapters.flown_logs import read_tracks
+
+    names = {task.sysid: task.name for task in scene.tasks}
+    flights = Flights()
+    for path in paths:
+        if not path.exists():
+            raise MissionError(f"{path}: expected a telemetry log, or a folder with some, got nothing there")
+        logs = sorted(path.rglob("*.tlog")) if path.is_dir() else [path]
+        if not logs:
+            raise MissionError(f"{path}: expected telemetry logs (.tlog), got a folder without any")
+        for flight in _by_folder(logs):
+            tracks, notes = read_tracks(flight, scene.frame)
+            flights += Flights(
+                tuple(track.trajectory for track in tracks),
+                tuple(names.get(track.sysid, f"sysid {track.sysid}") for track in tracks),
+                tuple(track.photos for track in tracks),
+                notes,
+            )
+    return flights
+
+
+def _by_folder(logs: Sequence[Path]) -> list[list[Path]]:
+    """Return the logs that lie together: those of one flight, which repeat each other."""
+    together: dict[Path, list[Path]] = {}
+    for log in logs:
+        if log.stat().st_size:
+            together.setdefault(log.parent, []).append(log)
+    return list(together.values())
+
+
 def _seen_before(question: Mission, path: Path, flown: Sequence[Path]) -> frozenset[str]:
-    raise NotImplementedError
+    """Return the targets that flights have seen from all sides asked for."""
+    from missionplanner.inspection import open_scene
+
+    try:
+        scene = open_scene(question, path.parent)
+    except MissionError as error:
+        raise MissionError(f"{path}: {error}") from error
+    flights = _recorded(scene, flown)
+    for note in flights.notes:
+        print(f"missionplanner: {note}", file=sys.stderr)
+    return flights.measured(scene).done
+
+
+def write_coverage(
+    folder: Path, scene: Scene, found: Coverage, flights: Flights, planned: InspectionPlan | None
+) -> dict[str, Path]:
+    """Write what was seen, as JSON, tables and a map; return their paths."""
+    import json
+
+    from missionplanner.files import write_atomic
+
+    path = folder / "coverage.json"
+    write_atomic(path, json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n")
+    return {"coverage": path}
 
 
 def _left_out_words(left_out: Sequence[Any]) -> str:

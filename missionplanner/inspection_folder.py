@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,6 +31,7 @@ from missionplanner.plan_folder import (
 )
 from missionplanner.scene import TERRAIN_NAME, VehicleTask, portable_mission
 from missionplanner.terrain import write_raster
+from missionplanner.tower_rows import TowerRow, tower_rows
 from missionplanner.views import LeftOut, Visit
 
 FORMAT = "missionplanner-inspection"
@@ -136,9 +136,7 @@ def save_inspection(folder: Path, plan: InspectionPlan, save_round: Callable[[Pa
             }
             for number, round_ in enumerate(plan.rounds, start=1)
         ],
-        "targets": [
-            {**asdict(row), "begins_s": round(row.begins_s, 2), "ends_s": round(row.ends_s, 2)} for row in plan.planned
-        ],
+        "targets": [_target(row) for row in tower_rows(plan) if row.sortie is not None],
         "left_out": [{"target": left.target, "why": left.why} for left in plan.left_out],
         "done": sorted(plan.done),
         "mission": mission.model_dump(mode="json", by_alias=True, exclude_unset=True),
@@ -185,6 +183,22 @@ def load_inspection(folder: Path) -> InspectionPlan:
         done=frozenset(record.done),
         seed=record.seed,
     )
+
+
+def _target(row: TowerRow) -> dict[str, Any]:
+    sortie = row.sortie
+    assert sortie is not None
+    return {
+        "target": row.target,
+        "visit": row.visit,
+        "round": sortie.round,
+        "vehicle": sortie.vehicle,
+        "order": sortie.order,
+        "begins_s": round(sortie.begins_s, 2),
+        "ends_s": round(sortie.ends_s, 2),
+        "photos": sortie.photos,
+        "viewpoints": sortie.viewpoints,
+    }
 
 
 def _tour(

@@ -18,6 +18,7 @@ from missionplanner.flight_check import FlightCheck
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, FlownMeeting
 
 if TYPE_CHECKING:  # the solver takes a while to import, and plans of one round do without it
+    from missionplanner.coverage import Coverage
     from missionplanner.inspection import InspectionPlan, Round
 
 
@@ -311,9 +312,14 @@ def replay_lines(found: dict[str, Any]) -> list[str]:
 
 
 def summarise_inspection(
-    planned: InspectionPlan, flown: Sequence[tuple[FleetFlight, FlightCheck]] = ()
+    planned: InspectionPlan,
+    flown: Sequence[tuple[FleetFlight, FlightCheck]] = (),
+    seen: Coverage | None = None,
 ) -> dict[str, Any]:
-    """Return the figures of an inspection and, of the rounds that were flown, of their flights; plain JSON values."""
+    """Return the figures of an inspection and, of the rounds that were flown, of their flights; plain JSON values.
+
+    ``seen``: what those have seen.
+    """
     asked = list(dict.fromkeys(visit.target for visit in planned.visits))
     vehicles_s = [float(v.trajectory.t_s[-1]) - v.start_delay_s for r in planned.rounds for v in r.plan.vehicles]
     return {
@@ -339,7 +345,25 @@ def summarise_inspection(
             for k, r in enumerate(planned.rounds)
         ],
         "flown_rounds": len(flown),
+        "seen": None if seen is None else _seen(planned, seen),
     }
+
+
+def _seen(planned: InspectionPlan, seen: Coverage) -> dict[str, Any]:
+    return {
+        "share": round(planned.share_of(seen.done | planned.done), 4),
+        "targets": sorted(seen.done),
+        "missing": list(seen.missing),
+        "spans_share": None if seen.spans_share is None else round(seen.spans_share, 4),
+        "photos": _taken(seen),
+    }
+
+
+def _taken(seen: Coverage) -> int | None:
+    """Return how many photos show something that was asked for; None: no log tells."""
+    photos = [*(row.photos for row in seen.towers), *(row.photos for row in seen.spans)]
+    told = [count for count in photos if count is not None]
+    return sum(told) if told else None
 
 
 def _sorties(round_: Round) -> list[dict[str, Any]]:
@@ -425,7 +449,52 @@ def inspection_lines(summary: dict[str, Any]) -> list[str]:
             near = flown["flown_separation"]
             apart = f", least separation {_apart(near)}" if near else ""
             lines.append(f"round {number} flown clear: {'yes' if flown['flown_clear'] else 'NO'}{apart}")
+    seen = summary["seen"]
+    if seen is not None:
+        photos = "" if seen["photos"] is None else f", on {seen['photos']} photos"
+        spans = "" if seen["spans_share"] is None else f"; {seen['spans_share']:.1%} of the spans' length"
+        lines.append(f"seen by what was flown: {seen['share']:.1%} of the towers' weight{spans}{photos}")
+        lines += [f"  not seen: {told}" for told in seen["missing"]]
     return lines
+
+
+def coverage_table(found: Mapping[str, Any]) -> Table:
+    """Return one row per side of a tower, and of a span, that was to be seen: those that were not, first."""
+    table = Table(title=f"{found['mission']}, seen", box=box.SIMPLE, title_justify="left", padding=(0, 1))
+    table.add_column("seen", no_wrap=True)
+    table.add_column("what", no_wrap=True)
+    for heading in ("from\nm", "off its side\ndegrees", "mm a\npixel", "photos"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("by")
+    table.add_column("why not")
+    rows = sorted([*found["towers"], *found["spans"]], key=lambda row: row["seen"])
+    for row in rows:
+        span = "share" in row
+        who = ", ".join(row["vehicles"]) if span else row["vehicle"] if row["seen"] else ""
+        why = "" if row["seen"] else f"{row['share']:.0%} of its length" if span else row["why"]
+        table.add_row(
+            Text("yes", "green") if row["seen"] else Text("NO", "bold red"),
+            Text(row["name"]),
+            _figure(row["distance_max_m" if span else "distance_m"], 1),
+            "" if span else _figure(row["angle_deg"], 0),
+            _figure(row["gsd_mm"], 1),
+            "?" if row["photos"] is None else str(row["photos"]),
+            Text(who),
+            Text(why),
+        )
+    return table
+
+
+def coverage_lines(found: Mapping[str, Any]) -> list[str]:
+    """Return what was seen in all, a line each."""
+    lines = [f"seen: {found['share']:.1%} of the towers' weight (at least {found['share_min']:.0%})"]
+    if found["spans_share"] is not None:
+        lines.append(f"seen of the spans: {found['spans_share']:.1%} of their length from the sides asked for")
+    return lines
+
+
+def _figure(value: float | None, places: int) -> str:
+    return "-" if value is None else f"{value:.{places}f}"
 
 
 def _clock(seconds: float) -> str:
