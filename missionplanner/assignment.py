@@ -19,7 +19,7 @@ from typing import Literal
 
 import numpy as np
 import pyvrp
-from pyvrp.stop import FirstFeasible, MaxIterations, MultipleCriteria, StoppingCriterion
+from pyvrp.stop import MaxIterations
 from scipy.optimize import linear_sum_assignment
 
 from missionplanner import mission
@@ -44,7 +44,7 @@ _REFINEMENTS = 4
 _EVEN_S = 10.0  # flight times that differ by less are equal
 _MEND = 0.995
 _MENDS = 6
-_DISTURBED = 3  # targets that are taken out together
+_ASCENTS, _MANY, _PATIENCE = 200, 600, 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -468,33 +468,27 @@ class _Search:
         return True
 
     def cover(self) -> bool:
-        """Find tours through all visits in as few rounds as can be; False: there are none within the sorties allowed."""
+        """Find tours through all visits in the fewest rounds; False: none are found within the sorties allowed."""
         problem = self._problem
-        rounds = problem.sorties_max
-        if self._score[1] == 0.0:
-            rounds = len(problem.rounds_of(self.found)) - 1
-        least = _rounds_min(problem)
-        while rounds >= least:
-            for _ in range(_MENDS):
-                plan = self._run(self._visits, self._fleet([math.inf] * rounds), first=True)
-                if plan is None or self._mended(plan):
-                    break
-            else:
+        rounds = len(problem.rounds_of(self.found)) if self._complete else problem.sorties_max
+        while rounds >= _rounds_min(problem):
+            start = [route for timed in problem.rounds_of(self.found)[:rounds] for _, route in timed]
+            plan = self._mended_run(self._visits, self._fleet([math.inf] * rounds), tuple(start))
+            if plan is None or not self._complete:
                 break
-            if plan is None or not self.offer(plan):
-                break
-            rounds = len(problem.rounds_of(self.found)) - 1
+            rounds = min(rounds, len(problem.rounds_of(self.found))) - 1
+        return self._complete
+
+    @property
+    def _complete(self) -> bool:
         return self._score[1] == 0.0
 
     def shorten(self) -> None:
         """Let the longest tours of all rounds become shorter."""
         for share in _SHORTER:
-            for _ in range(2):
-                rounds = self._problem.rounds_of(self.found)
-                longest = [max(time_s for time_s, _ in round_) for round_ in rounds]
-                plan = self._run(self._visits, self._fleet([share * s for s in longest]), start=self.found)
-                if plan is None or not self._mended(plan) or not self.offer(plan):
-                    break
+            rounds = self._problem.rounds_of(self.found)
+            longest = [max(time_s for time_s, _ in round_) for round_ in rounds]
+            self._mended_run(self._visits, self._fleet([share * s for s in longest]), self.found)
 
     def most_weight(self) -> None:
         """Find the targets of most weight that can be inspected."""
@@ -504,11 +498,7 @@ class _Search:
             _Choice(_orders(problem, visits), _PRIZE_S * problem.weights[target] / (mean or 1.0))
             for target, visits in problem.targets.items()
         ]
-        fleet = self._fleet([math.inf] * problem.sorties_max)
-        for _ in range(_MENDS):
-            plan = self._run(choices, fleet)
-            if plan is None or self._mended(plan):
-                break
+        self._mended_run(choices, self._fleet([math.inf] * problem.sorties_max), None)
         self.offer(self._filled(self.found))
 
     def even_out(self) -> None:
@@ -517,37 +507,37 @@ class _Search:
     def _filled(self, plan: _Plan) -> _Plan:
         return plan
 
-    def _mended(self, plan: _Plan) -> bool:
-        """Whether all batteries suffice for the ways home, too; else the solver gets less of those that do not."""
-        fine = True
+    def _mended_run(
+        self, choices: Sequence[_Choice], fleet: Sequence[tuple[int, float]], start: _Plan | None
+    ) -> _Plan | None:
+        """Run the solver until what it finds brings everybody home; None: it finds nothing."""
+        for _ in range(_MENDS):
+            plan = self._run(choices, fleet, start)
+            if plan is None or not self._overdrawn(plan):
+                return plan
+        return None
+
+    def _overdrawn(self, plan: _Plan) -> bool:
+        """Whether a battery is not enough for some way home; the solver gets less of such then."""
+        found = False
         for route, need in zip(plan, self._problem.needs(plan), strict=True):
             over = need - self._problem.budget[route.vehicle]
             if over > _SAME:
                 self._spare[route.vehicle] += over + 1.0 - _MEND
-                fine = False
-        return fine
+                found = True
+        return found
 
     def _fleet(self, longest_s: Sequence[float]) -> list[tuple[int, float]]:
         """Return one sortie of every vehicle for each round: the vehicle, and how long it should be at most."""
         return [(v, longest) for longest in longest_s for v in range(self._problem.vehicles)]
 
-    def _run(
-        self,
-        choices: Sequence[_Choice],
-        fleet: Sequence[tuple[int, float]],
-        *,
-        start: _Plan | None = None,
-        first: bool = False,
-    ) -> _Plan | None:
+    def _run(self, choices: Sequence[_Choice], fleet: Sequence[tuple[int, float]], start: _Plan | None) -> _Plan | None:
         """Return what the solver finds, offering all that it finds on the way; None: no tours within the batteries."""
         model = _Model(self._problem, choices, fleet, self._problem.budget - self._spare)
         watch = _Watch(model, self)
-        stop: StoppingCriterion = MaxIterations(self._problem.settings.iterations)
-        if first:
-            stop = MultipleCriteria([FirstFeasible(), stop])
         result = pyvrp.solve(
             model.data,
-            stop,
+            MaxIterations(self._problem.settings.iterations),
             seed=int(self._rng.integers(2**31)),
             collect_stats=False,
             params=pyvrp.SolveParams(ils=pyvrp.IteratedLocalSearchParams(callbacks=watch)),
@@ -694,9 +684,105 @@ def _orders(problem: _Problem, visits: Sequence[int]) -> tuple[tuple[int, ...], 
 
 
 def _rounds_min(problem: _Problem) -> int:
-    """Return a lower bound on the rounds that all targets take, by the energy."""
-    return 1
+    """Return a lower bound on the rounds that all targets take: how often batteries must be full."""
+    visits = [visit for of in problem.targets.values() for visit in of]
+    return max(1, math.ceil(_tours_min(problem, visits) / problem.vehicles))
+
+
+def _tours_min(problem: _Problem, visits: Sequence[int]) -> int:
+    """Return a lower bound on the tours through visits, by the energy of the shortest tree that joins them."""
+    costs = problem.costs
+    graph = _Graph.of(problem, visits, costs.energy_share, costs.inspection_share)
+    most = float(problem.budget.max())
+    tours = 1
+    while tours < len(visits) and graph.bound(np.zeros(len(visits)), tours)[0] > tours * most + _SAME:
+        tours += 1
+    return tours
 
 
 def _bound_s(problem: _Problem, visits: Sequence[int], plan: _Plan) -> float:
-    return 0.0
+    """Return a lower bound on the flight time of all tours through visits.
+
+    Tours are trees and as many ways home; multipliers that are raised at visits where the cheapest tree has too many
+    ends, and lowered at its leaves, bring it nearer to tours (Held and Karp, 1971, doi:10.1007/BF01584070).
+    """
+    if not visits:
+        return 0.0
+    costs = problem.costs
+    tours = _tours_min(problem, visits)
+    graph = _Graph.of(problem, visits, costs.time_s, costs.inspection_s)
+    above_s = sum(problem.route_s(route) for route in plan)
+    multipliers = np.zeros(len(visits))
+    best_s, degrees = graph.bound(multipliers, tours)
+    pace, since = 1.0, 0
+    for _ in range(_ASCENTS if len(visits) <= _MANY else _ASCENTS // 4):
+        off = degrees - 2.0
+        square = float(off @ off)
+        if square == 0.0 or above_s <= best_s:
+            break
+        multipliers = multipliers + pace * (above_s - best_s) / square * off
+        bound_s, degrees = graph.bound(multipliers, tours)
+        since += 1
+        if bound_s > best_s:
+            best_s, since = bound_s, 0
+        elif since >= _PATIENCE:
+            pace, since = 0.5 * pace, 0
+    return best_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Graph:
+    """What joins visits (U) at least, whoever flies them, from whichever end to whichever; and all homes as one."""
+
+    inside: float  # the visits themselves
+    between: FloatArray  # (U, U)
+    home: FloatArray  # (U,) half of a take-off and a landing included
+
+    @classmethod
+    def of(cls, problem: _Problem, visits: Sequence[int], cost: FloatArray, inspection: FloatArray) -> _Graph:
+        costs = problem.costs
+        number = {visit: k for k, visit in enumerate(visits)}
+        forms = np.array([f for f, visit in enumerate(costs.visit) if int(visit) in number])
+        owner = np.array([number[int(costs.visit[f])] for f in forms])
+        by_visit = np.argsort(owner, kind="stable")
+        forms, begins = forms[by_visit], np.searchsorted(owner[by_visit], np.arange(len(visits)))
+        ways = np.full((len(forms), len(forms)), np.inf)
+        out, back = np.full(len(forms), np.inf), np.full(len(forms), np.inf)
+        for m in range(len(cost)):
+            own = inspection[m, forms]
+            np.minimum(ways, cost[m][np.ix_(forms, forms)] - own, out=ways)
+            homes = [costs.home(v) for v in range(problem.vehicles) if costs.model[v] == m]
+            np.minimum(out, (cost[m][np.ix_(homes, forms)] - own).min(axis=0), out=out)
+            np.minimum(back, cost[m][np.ix_(forms, homes)].min(axis=1), out=back)
+        of_visits = np.minimum.reduceat(np.minimum.reduceat(ways, begins, axis=0), begins, axis=1)
+        out, back = np.minimum.reduceat(out, begins), np.minimum.reduceat(back, begins)
+        once = float(out.min() + back.min())
+        between = np.minimum(of_visits, of_visits.T)
+        np.fill_diagonal(between, np.inf)
+        return cls(
+            inside=float(np.minimum.reduceat(inspection[:, forms].min(axis=0), begins).sum()),
+            between=between,
+            home=np.minimum(out - out.min(), back - back.min()) + 0.5 * once,
+        )
+
+    def bound(self, multipliers: FloatArray, tours: int) -> tuple[float, FloatArray]:
+        """Return what so many tours, or more, cost at least, and the degrees (U,) of what costs just that."""
+        home = self.home + multipliers
+        degrees = np.zeros(len(home))
+        degrees[int(np.argmin(home))] += tours
+        if home.min() < 0.0:  # then more tours might cost less: nothing follows
+            return -math.inf, degrees
+        total = self.inside - 2.0 * float(multipliers.sum()) + tours * float(home.min())
+        nearest, joined_by = home.copy(), np.full(len(home), -1)
+        left = np.ones(len(home), dtype=np.bool_)
+        for _ in range(len(home)):  # Prim, 1957, from home
+            k = int(np.argmin(np.where(left, nearest, np.inf)))
+            total += float(nearest[k])
+            left[k] = False
+            degrees[k] += 1.0
+            if joined_by[k] >= 0:
+                degrees[joined_by[k]] += 1.0
+            way = self.between[k] + multipliers[k] + multipliers
+            closer = left & (way < nearest)
+            nearest[closer], joined_by[closer] = way[closer], k
+        return total, degrees
