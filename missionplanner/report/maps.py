@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -42,6 +42,7 @@ _OBSTACLES_WIDEN, _FENCE_WIDENS = 1.5, 1.8  # at most, the map
 _CONTOUR_LABELS_APART_PX = 260.0
 _NAMED_VEHICLES = 14
 _NAMED_LEGS = 12
+_NUMBERED = 40
 _KINDS = {
     "cylinder": "mast or building",
     "cone": "peak",
@@ -56,21 +57,41 @@ _KINDS = {
 _CONDUCTOR: dict[str, Any] = {"color": "#55606a", "linewidth": 6.2, "alpha": 0.55, "solid_capstyle": "butt"}
 _BAND: dict[str, Any] = {"linewidth": 7.5, "alpha": 0.85}
 _AROUND: dict[str, Any] = {"linewidth": 1.2, "linestyle": (0, (3, 1.5))}
+_OTHER: dict[str, Any] = {"color": style.MUTED, "linewidth": 1.0, "alpha": 0.75}
 _FENCE: dict[str, Any] = {"color": style.FENCE, "linewidth": 1.3, "linestyle": (0, (7, 2, 1.5, 2))}
 _FILL_ALPHA = {"cylinder": 0.55, "cone": 0.35, "radar": 0.18, "soft radar": 0.08, "marine": 0.30, "no_fly": 0.14}
 
 
 def fleet_map(facts: Sketch, shapes: Sequence[Shape]) -> Figure:
     """Draw the whole mission from above."""
-    box = map_box(facts, shapes)
+    return _map(facts, shapes, map_box(facts, shapes), _Extra())
+
+
+def vehicle_map(facts: Sketch, shapes: Sequence[Shape], vehicle: Course, places_m: Mapping[str, FloatArray]) -> Figure:
+    """Draw one vehicle's way from above, with places (3,) on it by their numbers, and the others' ways faintly."""
+    own = Sketch(facts.scene, (vehicle,), tuple(f for f in facts.findings if f.vehicle == vehicle.name))
+    others = [other.way_m[:, :2] for other in facts.vehicles if other.index != vehicle.index]
+    return _map(own, shapes, map_box(own, shapes, towers=False), _Extra(places_m, others))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Extra:
+    """What a map shows besides: numbered places on the ways, and ways (N, 2) of vehicles that it is not about."""
+
+    places_m: Mapping[str, FloatArray] = field(default_factory=dict)
+    others_m: Sequence[FloatArray] = ()
+
+
+def _map(facts: Sketch, shapes: Sequence[Shape], box: Box, extra: _Extra) -> Figure:
     height_in = _MAP_WIDTH_IN * (box[3] - box[1]) / (box[2] - box[0])
     figure = style.new_figure(height_in + _MAP_BOTTOM_IN + 0.12)
     axes = _map_axes(figure, box, _MAP_LEFT_IN, _MAP_WIDTH_IN, height_in)
     ground = _draw_ground(axes, facts, box, columns=620)
     drawn = [s for s in shapes if overlaps(s.outline_m, box)]
-    _draw_all(axes, facts, drawn, ground)
+    axes.add_collection(LineCollection(extra.others_m, zorder=5.2, **_OTHER))
+    _draw_all(axes, facts, drawn, ground, extra.places_m)
     _scale_bar(figure, box, _MAP_LEFT_IN, _MAP_WIDTH_IN)
-    _side_panel(figure, facts, drawn, ground, box)
+    _side_panel(figure, facts, drawn, ground, box, others=bool(extra.others_m))
     return figure
 
 
@@ -109,14 +130,16 @@ def _extent_m(places: FloatArray) -> float:
     return float(np.ptp(places[:, :2], axis=0).max())
 
 
-def map_box(facts: Sketch, shapes: Sequence[Shape], least_ratio: tuple[float, float] = (0.95, 0.52)) -> Box:
+def map_box(
+    facts: Sketch, shapes: Sequence[Shape], least_ratio: tuple[float, float] = (0.95, 0.52), *, towers: bool = True
+) -> Box:
     """Return what the map shows: all paths, homes and towers; obstacles and fence where they are not much farther.
 
     Width to height and height to width are at least ``least_ratio``.
     """
     places = [v.path_m[:, :2] for v in facts.vehicles] + [v.home_m[None, :2] for v in facts.vehicles]
     places += [v.flown.record.trajectory.position_m[:, :2] for v in facts.vehicles if v.flown]
-    if facts.scene.towers is not None:
+    if towers and facts.scene.towers is not None:
         places.append(facts.scene.towers.top_m[:, :2])
     everything = np.concatenate(places)
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -195,7 +218,9 @@ def _draw_ground(axes: Axes, facts: Sketch, box: Box, columns: int) -> Ground:
     return ground
 
 
-def _draw_all(axes: Axes, facts: Sketch, shapes: Sequence[Shape], ground: Ground) -> None:
+def _draw_all(
+    axes: Axes, facts: Sketch, shapes: Sequence[Shape], ground: Ground, places_m: Mapping[str, FloatArray] | None = None
+) -> None:
     labels = Labels(axes)
     _draw_fence(axes, facts)
     for shape in shapes:
@@ -207,6 +232,7 @@ def _draw_all(axes: Axes, facts: Sketch, shapes: Sequence[Shape], ground: Ground
         labels.avoid_mark(v.home_m, 4.5)
         labels.avoid_mark(v.waypoints_m[-1], 5.0)
     _label_vehicles(labels, facts)
+    _label_places(axes, labels, places_m or {})
     _label_open_legs(axes, labels, facts)
     _label_shapes(axes, labels, [s for s in shapes if s.kind not in ("tower", "conductor")])
     _label_towers(labels, facts)
@@ -313,6 +339,14 @@ def _label_vehicles(labels: Labels, facts: Sketch) -> None:
     labels.place_group(names, colours, goals, f"{len(goals)} goals")
 
 
+def _label_places(axes: Axes, labels: Labels, places_m: Mapping[str, FloatArray]) -> None:
+    for place_m in places_m.values():
+        axes.plot(place_m[0], place_m[1], marker="o", markersize=3.6, color=style.INK, zorder=10.5)
+        labels.avoid_mark(place_m, 2.2)
+    for number, place_m in places_m.items():
+        labels.place(number, place_m, size=7, gap_pt=3, must=len(places_m) <= _NUMBERED, fontweight="bold")
+
+
 def _label_open_legs(axes: Axes, labels: Labels, facts: Sketch) -> None:
     """Write the item's number at every leg that is not proven and can be seen."""
     open_ = [leg for v in facts.vehicles for leg in v.legs if not leg.proven]
@@ -406,7 +440,9 @@ class _Row:
     mark: dict[str, Any] | None = None
 
 
-def _side_panel(figure: Figure, facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box) -> None:
+def _side_panel(
+    figure: Figure, facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box, *, others: bool
+) -> None:
     """Draw north arrow, legend and, for a large area, an overview: beside the map, so nothing is covered."""
     whole = figure.get_size_inches()
     left_in = _MAP_LEFT_IN + _MAP_WIDTH_IN + 0.16
@@ -419,7 +455,7 @@ def _side_panel(figure: Figure, facts: Sketch, shapes: Sequence[Shape], ground: 
     _north_arrow(axes, width_in - 0.16, top)
     _wind_arrow(axes, facts, width_in - 0.62, top)
     y = top - 0.02
-    for title, rows in _legend(facts, shapes, ground, box):
+    for title, rows in _legend(facts, shapes, ground, box, others=others):
         axes.text(0.0, y, title, fontsize=8, fontweight="bold", va="center")
         y -= _ROW_IN * 1.1
         for row in rows:
@@ -455,7 +491,9 @@ def _wind_arrow(axes: Axes, facts: Sketch, x: float, top: float) -> None:
     axes.text(x, top - 0.30, f"wind {wind.speed_m_s:g} m/s", fontsize=7, ha="center", va="center", color=style.INK)
 
 
-def _legend(facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box) -> list[tuple[str, list[_Row]]]:
+def _legend(
+    facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box, *, others: bool
+) -> list[tuple[str, list[_Row]]]:
     shown = facts.vehicles[:_NAMED_VEHICLES]
     vehicles = [
         _Row(
@@ -466,6 +504,8 @@ def _legend(facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box) ->
     ]
     if len(facts.vehicles) > len(shown):
         vehicles.append(_Row(f"and {len(facts.vehicles) - len(shown)} more"))
+    if others:
+        vehicles.append(_Row("other vehicles", _OTHER))
     grey = style.MUTED
     marks = [
         _Row("home", mark=_ring("s", 6.0, grey, 1.8)),
