@@ -147,6 +147,8 @@ class _Reader:
                 maps = [m for m in members if m.suffix.lower() in _INNER]
                 if not maps:
                     raise MissionError(f"{name}: expected a map inside ({', '.join(_INNER)}), got none")
+                if any(member.suffix.lower() == ".zip" for member in members):
+                    self.notes.append(f"{name}: archives within it were not read")
                 for member in maps:
                     self.read(member, f"{name}/{member.relative_to(folder).as_posix()}")
         except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, EOFError, ValueError) as error:
@@ -194,12 +196,12 @@ class _Reader:
                 for index, layer in enumerate(layers):
                     self._read_layer(source, index, name, {LAYER: layer} if len(layers) > 1 else {})
         except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, pyogrio.errors.FeatureError) as error:
-            reason = " ".join(str(error).split())
-            raise MissionError(f"{name}: expected a map that can be read, got a damaged one: {reason[:300]}") from error
+            raise MissionError(
+                f"{name}: expected a map that can be read, got a damaged one: {_reason(error, source)}"
+            ) from error
         except (UnicodeDecodeError, pyogrio.errors.GeometryError, shapely.errors.ShapelyError) as error:
-            reason = " ".join(str(error).split())
-            raise MissionError(f"{name}: expected a map that can be read, got: {reason[:300]}") from error
-        self.notes += [f"{name}: {' '.join(str(w.message).split())[:300]}" for w in caught]
+            raise MissionError(f"{name}: expected a map that can be read, got: {_reason(error, source)}") from error
+        self.notes += [f"{name}: {_reason(w.message, source)}" for w in caught]
 
     def _read_layer(self, source: Path | bytes, layer: int, name: str, layer_tag: Mapping[str, str]) -> None:
         meta, _, geometry, columns = pyogrio.raw.read(
@@ -342,6 +344,14 @@ class _Reader:
 def _suffix(path: Path) -> str:
     name = path.name.lower()
     return next((suffix for suffix in _OSM_SUFFIXES if name.endswith(suffix)), path.suffix.lower())
+
+
+def _reason(error: Exception | Warning | str, source: Path | bytes) -> str:
+    """Return what GDAL says, on one line, without the names that only we and GDAL know."""
+    text = re.sub(r"/vsimem/\w+", "the file", " ".join(str(error).split()))
+    if isinstance(source, Path):
+        text = text.replace(str(source), source.name)
+    return text[:300].partition("; It might help")[0]
 
 
 def _not_utf8(name: str, what: str, content: bytes, error: UnicodeDecodeError) -> MissionError:

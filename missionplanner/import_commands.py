@@ -82,13 +82,13 @@ def import_maps(
     if as_json:
         lines = [{"name": n, "towers": towers, "voltage_kv": kv} for n, towers, kv in made.lines]
         counts = {"towers": made.towers, "obstacles": made.obstacles}
-        print_json({"mission": str(output), "lines": lines, **counts, "assumed": list(made.notes)})
+        print_json({"mission": str(output), "lines": lines, **counts, "notes": list(made.notes)})
         return
     for n, towers, kv in made.lines:
         volts = "voltage unknown" if kv is None else f"{kv:g} kV"
         stdout.print(f"line {n}: {towers} towers, {volts}", markup=False, highlight=False, soft_wrap=True)
     for note in made.notes:
-        stderr.print(f"assumed: {note}", markup=False, highlight=False, soft_wrap=True)
+        stderr.print(f"note: {note}", markup=False, highlight=False, soft_wrap=True)
     stdout.print(
         f"{output}: {made.towers} towers to inspect, {made.obstacles} obstacles, {count} vehicles; read it "
         "through, then validate it",

@@ -42,7 +42,7 @@ COARSE_M = 800.0
 
 _SAME_M = 1.0  # two points of a map this close are one tower
 _MATCH_M = 10.0  # a tower this close to a vertex of a line stands at it
-_BESIDE_M = 15.0  # a tower this close to a line, between its vertices, carries it
+_BESIDE_M = 25.0  # a tower this close to a line, between its vertices, carries it
 _BEND_M = 25.0  # a vertex this close to a tower that carries the line is no tower of its own
 _DETOUR_SHARE = 1.05  # numbers of towers, or their order in a file, may make a way so much longer than the shortest
 _HEIGHT_M = (3.0, 400.0)  # of towers: the tallest stands 380 m high
@@ -143,7 +143,7 @@ def read_line_map(features: Sequence[MapFeature]) -> LineMap:
     builder = _Builder(frame)
     builder.add_points(points)
     builder.add_lines(drawn)
-    wires = builder.wires + builder.rows_of_towers()
+    wires = _each_once(builder.wires) + builder.rows_of_towers()
     for wire in wires:
         for s in set(wire.supports):
             builder.supports[s].wires += 1
@@ -251,7 +251,10 @@ class _Builder:
         vertices = [self._local(feature.lat_lon_deg) for feature in drawn]
         stops = [self._stops_at_vertices(f, xy_m) for f, xy_m in zip(drawn, vertices, strict=True)]
         taken = {stop for found in stops for stop in found if stop is not None}
-        beside = self._towers_beside([s for s in self._towers if s not in taken], vertices)
+        free = [s for s in self._towers if s not in taken]
+        # where ids tell which vertices are towers, one beside the line is another's
+        told = [any(node in self._by_id for node in feature.nodes) for feature in drawn]
+        beside = [[] if by_id else self._towers_beside(free, xy_m) for by_id, xy_m in zip(told, vertices, strict=True)]
         loose = _Grid(_MATCH_M)
         for k, feature in enumerate(drawn):
             supports = self._along(feature, vertices[k], stops[k], beside[k], loose)
@@ -270,25 +273,21 @@ class _Builder:
             for stop, away, near in zip(found, away_m, nearest, strict=True)
         ]
 
-    def _towers_beside(self, free: Sequence[int], vertices: Sequence[FloatArray]) -> list[list[tuple[int, float, int]]]:
-        """Return per line the free towers along it: segment, share of the segment, tower."""
-        beside: list[list[tuple[int, float, int]]] = [[] for _ in vertices]
+    def _towers_beside(self, free: Sequence[int], xy_m: FloatArray) -> list[tuple[int, float, int]]:
+        """Return the free towers along a line: segment, share of the segment, tower."""
         if not free:
-            return beside
+            return []
+        beside: list[tuple[int, float, int]] = []
         at_m = np.array([self._xy[s] for s in free])
-        for found, xy_m in zip(beside, vertices, strict=True):
-            low, high = xy_m.min(axis=0) - _BESIDE_M, xy_m.max(axis=0) + _BESIDE_M
-            near = np.flatnonzero(((at_m >= low) & (at_m <= high)).all(axis=1))
-            if not len(near):
-                continue
-            start, way = xy_m[:-1], np.diff(xy_m, axis=0)
-            square = np.maximum((way**2).sum(axis=1), 1e-9)
-            for n in near.tolist():
-                share = np.clip(((at_m[n] - start) * way).sum(axis=1) / square, 0.0, 1.0)
-                away_m = np.linalg.norm(start + share[:, None] * way - at_m[n], axis=1)
-                segment = int(np.argmin(away_m))
-                if away_m[segment] <= _BESIDE_M:
-                    found.append((segment, float(share[segment]), free[n]))
+        low, high = xy_m.min(axis=0) - _BESIDE_M, xy_m.max(axis=0) + _BESIDE_M
+        start, way = xy_m[:-1], np.diff(xy_m, axis=0)
+        square = np.maximum((way**2).sum(axis=1), 1e-9)
+        for n in np.flatnonzero(((at_m >= low) & (at_m <= high)).all(axis=1)).tolist():
+            share = np.clip(((at_m[n] - start) * way).sum(axis=1) / square, 0.0, 1.0)
+            away_m = np.linalg.norm(start + share[:, None] * way - at_m[n], axis=1)
+            segment = int(np.argmin(away_m))
+            if away_m[segment] <= _BESIDE_M:
+                beside.append((segment, float(share[segment]), free[n]))
         return beside
 
     def _along(
@@ -432,6 +431,14 @@ def _wire(feature: MapFeature, supports: tuple[int, ...]) -> Wire:
         source=feature.source,
         aerialway=roped,
     )
+
+
+def _each_once(wires: Sequence[Wire]) -> list[Wire]:
+    """Return the lines without those that another file, or layer, tells again."""
+    first: dict[tuple[tuple[int, ...], tuple[str, ...]], Wire] = {}
+    for wire in wires:
+        first.setdefault((min(wire.supports, wire.supports[::-1]), wire.labels), wire)
+    return list(first.values())
 
 
 def _joined(wires: Sequence[Wire], supports: Sequence[Support]) -> list[Wire]:

@@ -181,9 +181,8 @@ class _Importer:
             self._expect_towers(wire)
         others = len(here) - len(chosen)
         if others and not self._wishes.lines:
-            self._notes.append(
-                f"inspected: {_volts(chosen)}; {others} other lines are obstacles (--line chooses others to inspect)"
-            )
+            rest = _count(others, "other line")
+            self._notes.append(f"inspected: {_volts(chosen)}; obstacles: {rest} (--line chooses what to inspect)")
         return chosen
 
     def _nothing_in_the_area(self, lines: Sequence[Wire]) -> MissionError:
@@ -300,6 +299,7 @@ class _Importer:
             if "expected terrain below the mission" in str(error) and self._lies_there_swapped():
                 raise MissionError(f"{error}: swapped they match: {_SWAP}") from error
             raise
+        self._let_go_of_the_unknown(ground)
         xy_m = self._xy(self._places(self._inspected))
         bare = np.isnan(ground.height_amsl_m(xy_m[:, 0], xy_m[:, 1]))
         if bare.any():
@@ -311,6 +311,19 @@ class _Importer:
                 f"{ground.description} ({shown}): give a terrain that covers them, or --area to leave them out"
             )
         return ground
+
+    def _let_go_of_the_unknown(self, ground: Terrain) -> None:
+        """Leave ends of spans across the border to the obstacles where they have no ground."""
+
+        def bare(s: int) -> bool:
+            x, y = self._xy([self._map.supports[s].lat_lon_deg])[0].tolist()
+            return not self._inside[s] and bool(np.isnan(ground.height_amsl_m(x, y)))
+
+        for k, run in enumerate(self._runs):
+            kept = tuple(s for s in run.supports if not bare(s))
+            if len(kept) > 1:
+                self._runs[k] = _Run(run.wire, kept)
+        self._inspected = list(dict.fromkeys(s for run in self._runs for s in run.supports))
 
     def _lies_there_swapped(self) -> bool:
         assert self._wishes.terrain is not None
@@ -565,7 +578,7 @@ class _Importer:
             told.append(f"{what}: check on the spot")
         if not given:
             self._notes.append(
-                f"homes: {wanted} sites beside the lines were assumed, clear of what is on the map"
+                f"homes: {_count(wanted, 'site')} beside the lines assumed, clear of what is on the map"
                 + (
                     " and on level ground"
                     if self._terrain is not None
@@ -674,12 +687,19 @@ class _Importer:
         if unknown:
             notes.append(f"heights of {unknown} of {len(self._inspected)} towers were assumed: fill in height_m")
         if loose:
-            notes.append(f"{loose} towers are vertices of lines without a tower on the map: marked assumed: [place]")
+            what = _count(loose, "vertex", "vertices")
+            notes.append(f"{what} of lines without a tower on the map taken for towers: marked assumed: [place]")
         for name, run in zip(self._line_names, self._runs, strict=True):
             if run.wire.ordered_by:
                 notes.append(f"line {name}: towers in order of {run.wire.ordered_by}: check it")
         if self._map.unused.get("underground"):
-            notes.append(f"{self._map.unused['underground']} cables in the ground or under water were left out")
+            notes.append(f"{_count(self._map.unused['underground'], 'cable')} in the ground or under water left out")
+        alone = [s for s in self._map.alone if self._inside[s] and self._map.supports[s].what != "pylon"]
+        if alone:
+            shown = ", ".join(self._map.supports[s].label or self._map.supports[s].source for s in alone[:3])
+            shown += ", ..." if len(alone) > 3 else ""
+            what = _count(len(alone), "tower")
+            notes.append(f"{what} on no line, so obstacles only ({shown}): if they belong to one, draw it through them")
         if any(wire.voltage_kv is None for wire in self._chosen):
             notes.append(f"voltages of some lines are unknown: {self._of_line.safety_m:g} m are kept from conductors")
         if self._terrain is None:
@@ -698,7 +718,7 @@ class _Importer:
 
     def _text(self, notes: Sequence[str]) -> Iterator[str]:
         wishes, of_line = self._wishes, self._of_line
-        yield f"# An inspection of {len(self._runs)} lines, imported from {', '.join(self._sources)}."
+        yield f"# An inspection of {_count(len(self._runs), 'line')}, imported from {', '.join(self._sources)}."
         if self._map.openstreetmap:
             yield "# Data (c) OpenStreetMap contributors, Open Database License 1.0: https://www.openstreetmap.org/copyright"
         yield "# What the map does not say was assumed. Check it before anybody flies; only then delete these lines:"
@@ -845,7 +865,7 @@ def _of_highest_voltage(wires: Sequence[Wire]) -> list[Wire]:
 
 def _volts(wires: Sequence[Wire]) -> str:
     known = sorted({wire.voltage_kv for wire in wires if wire.voltage_kv is not None}, reverse=True)
-    return f"{len(wires)} lines" + (f" of {', '.join(f'{kv:g}' for kv in known)} kV" if known else "")
+    return _count(len(wires), "line") + (f" of {', '.join(f'{kv:g}' for kv in known)} kV" if known else "")
 
 
 def _metres(tags: Mapping[str, str], name: str) -> float | None:
@@ -868,6 +888,10 @@ def _unique(name: str, taken: Sequence[str] | set[str]) -> str:
     if name not in taken:
         return name
     return next(tried for k in itertools.count(2) if (tried := f"{name[:35]}-{k}") not in taken)
+
+
+def _count(number_: int, what: str, plural: str = "") -> str:
+    return f"{number_} {what if number_ == 1 else plural or what + 's'}"
 
 
 def _deg(value: float) -> float:

@@ -121,7 +121,7 @@ def kind(feature: MapFeature) -> Kind:
         return "aerialway" if shape == "line" and roped[1] not in _ON_THE_GROUND else "other"
     if tags.get("man_made") in _TALL:
         return "mast" if shape != "line" or _closed(feature) else "other"
-    if feature.openstreetmap or power or shape == "area":
+    if feature.openstreetmap or power or "man_made" in tags or shape == "area":
         return "other"
     return _kind_by_type(feature)
 
