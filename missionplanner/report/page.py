@@ -1,27 +1,22 @@
-"""The page: pictures and tables in one self-contained HTML file, the pictures beside it as PNG files too."""
+"""The fleet's page: pictures and tables of its plan and flight; of missions that were checked; of replays."""
 
 from __future__ import annotations
 
-import base64
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from jinja2 import Environment, FunctionLoader, StrictUndefined
-from markupsafe import Markup
-from matplotlib.figure import Figure
 
 from missionplanner.certificate import Certificate
-from missionplanner.files import write_atomic
 from missionplanner.mission import Mission
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, VehiclePlan
 from missionplanner.replay import FleetReplay, VehicleReplay
 from missionplanner.report import charts, replays, style
 from missionplanner.report.facts import Course, Facts, Sketch, VehicleFacts, collect, sketch_of
 from missionplanner.report.maps import detail_maps, fleet_map
+from missionplanner.report.rendering import Picture, Tile, picture, write_page
 from missionplanner.report.shapes import Shape, shapes
 from missionplanner.report.verdicts import floored, lateness_words, place_words, section
 from missionplanner.report.view import space_view
@@ -31,34 +26,8 @@ from missionplanner.sortie import Sortie
 REPORT_NAME = "report.html"
 CHECK_NAME = "check.html"
 REPLAY_NAME = "replay.html"
-PICTURES_NAME = "pictures"
 _PROFILES_DRAWN = 12
 _REASONS_SHOWN = 20
-
-
-@dataclass(frozen=True, slots=True)
-class _Picture:
-    """A drawn picture: file name, section it opens (or continues, if empty), caption, words for who cannot see it."""
-
-    name: str
-    title: str
-    caption: str
-    alt: str
-    png: bytes
-
-    @property
-    def uri(self) -> str:
-        return "data:image/png;base64," + base64.b64encode(self.png).decode("ascii")
-
-
-@dataclass(frozen=True, slots=True)
-class _Tile:
-    """A key figure."""
-
-    label: str
-    value: str
-    note: str
-    bad: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +78,9 @@ def write_report(folder: Path, scene: Scene, plan: FleetPlan, flight: FleetFligh
         The folder cannot be written to.
     """
     facts = collect(scene, plan, flight)
-    return _write(
+    return write_page(
         folder / REPORT_NAME,
+        REPORT_NAME,
         _pictures(facts),
         mission=plan.mission,
         eyebrow="Mission report",
@@ -141,8 +111,9 @@ def write_check_report(folder: Path, scene: Scene, certificate: Certificate, sor
         The folder cannot be written to.
     """
     sketch = sketch_of(scene, certificate, sorties)
-    return _write(
+    return write_page(
         folder / CHECK_NAME,
+        CHECK_NAME,
         _check_pictures(sketch),
         mission=scene.mission,
         eyebrow="Mission check",
@@ -171,8 +142,9 @@ def write_replay(
     near = fleet.separation
     if near is not None and not near.ok:
         troubles = (*troubles, f"{near.what} came within {near.distance_m:.1f} m; {near.required_m:g} m are required")
-    return _write(
+    return write_page(
         folder / REPLAY_NAME,
+        REPLAY_NAME,
         _replay_pictures(fleet),
         mission=mission,
         eyebrow="Replay",
@@ -186,20 +158,20 @@ def write_replay(
     )
 
 
-def _replay_pictures(fleet: FleetReplay) -> Iterator[_Picture]:
+def _replay_pictures(fleet: FleetReplay) -> Iterator[Picture]:
     with style.look():
-        yield _picture(
+        yield picture(
             "errors", "Off the plan, over time", replays.errors(fleet), "Late: flown less planned time at the same "
             "place. Ahead: along the path, of where the plan has it at that time. Right, above: of the planned flight.",
             "Time, along-track, cross-track and height errors of each vehicle over time.",
         )  # fmt: skip
-        yield _picture("arrivals", "Arrival", replays.arrivals(fleet), "", "Planned and flown arrival of each vehicle.")
+        yield picture("arrivals", "Arrival", replays.arrivals(fleet), "", "Planned and flown arrival of each vehicle.")
         if fleet.separation is not None:
-            yield _picture(
+            yield picture(
                 "apart", "Distance between the vehicles", replays.apart(fleet), "",
                 "Distances between the flown vehicles over time.",
             )  # fmt: skip
-        yield _picture(
+        yield picture(
             "ways", "From above", replays.ways(fleet), "Broad: planned flight. Thin: flown. Circles: waypoints.",
             "Map of the planned and the flown paths.",
         )  # fmt: skip
@@ -222,22 +194,22 @@ def _late_or_early(late_s: float) -> str:
     return "late" if late_s >= 0.0 else "early"
 
 
-def _replay_tiles(fleet: FleetReplay) -> Iterator[_Tile]:
+def _replay_tiles(fleet: FleetReplay) -> Iterator[Tile]:
     if len(fleet.vehicles) > 1:
         spread_s = fleet.arrival_spread_s
-        yield _Tile(
+        yield Tile(
             "arrivals flown", "incomplete" if spread_s is None else f"{spread_s:.2f} s",
             f"from first to last; planned {fleet.planned_spread_s:.2f} s", bad=spread_s is None,
         )  # fmt: skip
     late = max(fleet.vehicles, key=lambda v: abs(v.arrival_error_s or 0.0))
     if late.arrival_error_s is not None:
-        yield _Tile("furthest off its arrival", f"{late.arrival_error_s:+.2f} s", f"{late.plan.name}; above 0: late")
+        yield Tile("furthest off its arrival", f"{late.arrival_error_s:+.2f} s", f"{late.plan.name}; above 0: late")
     off = max(fleet.vehicles, key=lambda v: float(v.off_path_m[v.en_route].max()))
-    yield _Tile("most off the path", f"{off.off_path_m[off.en_route].max():.1f} m", f"{off.plan.name}; before arrival")
+    yield Tile("most off the path", f"{off.off_path_m[off.en_route].max():.1f} m", f"{off.plan.name}; before arrival")
     near = fleet.separation
     if near is not None:
         note = f"flown; {near.required_m:g} m required; {near.what}"
-        yield _Tile("least between vehicles", f"{floored(near.distance_m, 1)} m", note, bad=not near.ok)
+        yield Tile("least between vehicles", f"{floored(near.distance_m, 1)} m", note, bad=not near.ok)
 
 
 def _replay_row(index: int, v: VehicleReplay) -> _ReplayRow:
@@ -261,26 +233,7 @@ def _replay_row(index: int, v: VehicleReplay) -> _ReplayRow:
     )
 
 
-def _write(path: Path, pictures: Iterable[_Picture], **said: object) -> Path:
-    """Fill the template of the page's name, write it and its pictures, and return its path."""
-    drawn = []
-    for picture in pictures:
-        write_atomic(path.parent / PICTURES_NAME / f"{picture.name}.png", picture.png)
-        drawn.append(picture)
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, loader=FunctionLoader(_part)
-    )
-    css = Markup(_part("report.css"))
-    write_atomic(path, environment.get_template(path.name).render(css=css, pictures=drawn, **said))
-    return path
-
-
-def _part(name: str) -> str:
-    """Return a template or style sheet of this package."""
-    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
-
-
-def _pictures(facts: Facts) -> Iterator[_Picture]:
+def _pictures(facts: Facts) -> Iterator[Picture]:
     outlines = shapes(facts.scene)
     count = len(facts.vehicles)
     fleet = f"{count} vehicles" if count > 1 else facts.vehicles[0].name
@@ -288,33 +241,33 @@ def _pictures(facts: Facts) -> Iterator[_Picture]:
         yield _map(facts, outlines, fleet)
         detail = detail_maps(facts, outlines)
         if detail is not None:
-            yield _picture(
+            yield picture(
                 "sites", "Where they start and end", detail, "", "Maps of the take-off site and of the goals."
             )
-        yield _picture(
+        yield picture(
             "view", "In space", space_view(facts, outlines), "Coloured curtains hang from the paths down to the "
             "ground; dotted: behind a ridge. Solids are cut off above the paths.",
             f"View of the terrain with the obstacles and the paths of {fleet}.",
         )  # fmt: skip
         yield from _profiles(facts, outlines)
         if count > 1:
-            yield _picture(
+            yield picture(
                 "separation", "Distance between the vehicles", charts.separation(facts), _separation_caption(facts),
                 "Distances between the vehicles over time beside the required separation.",
             )  # fmt: skip
-        yield _picture(
+        yield picture(
             "arrival", "Arrival", charts.arrival_windows(facts), _arrival_caption(facts),
             "When each vehicle can arrive, is planned to arrive and arrived.",
         )  # fmt: skip
         if any(v.plan.history.size for v in facts.vehicles):
-            yield _picture(
+            yield picture(
                 "cost", "Cost of the search", charts.cost_history(facts),
                 "The lowest price of a path found so far, per vehicle: the lower, the better.",
                 "Best cost over the iterations of the search, per vehicle.",
             )  # fmt: skip
 
 
-def _check_pictures(sketch: Sketch) -> Iterator[_Picture]:
+def _check_pictures(sketch: Sketch) -> Iterator[Picture]:
     outlines = shapes(sketch.scene)
     count = len(sketch.vehicles)
     with style.look():
@@ -322,16 +275,14 @@ def _check_pictures(sketch: Sketch) -> Iterator[_Picture]:
         yield from _profiles(sketch, outlines)
 
 
-def _map(sketch: Sketch, outlines: tuple[Shape, ...], fleet: str) -> _Picture:
+def _map(sketch: Sketch, outlines: tuple[Shape, ...], fleet: str) -> Picture:
     caption = (
         "Beside each path, leg by leg: how much more its tube keeps from ground, obstacles and fence than it must."
     )
-    return _picture(
-        "map", "Map", fleet_map(sketch, outlines), caption, f"Map of the mission with the paths of {fleet}."
-    )
+    return picture("map", "Map", fleet_map(sketch, outlines), caption, f"Map of the mission with the paths of {fleet}.")
 
 
-def _profiles(facts: Sketch, outlines: tuple[Shape, ...]) -> Iterator[_Picture]:
+def _profiles(facts: Sketch, outlines: tuple[Shape, ...]) -> Iterator[Picture]:
     """Draw every vehicle's profile; of a large fleet, those with the least to spare."""
     drawn = tuple(facts.vehicles)
     caption = ""
@@ -340,14 +291,10 @@ def _profiles(facts: Sketch, outlines: tuple[Shape, ...]) -> Iterator[_Picture]:
         drawn = tuple(sorted(tightest, key=lambda v: v.index))
         caption = f"Of {len(facts.vehicles)} vehicles, the {_PROFILES_DRAWN} with the least to spare are drawn."
     for i, v in enumerate(drawn):
-        yield _picture(
+        yield picture(
             f"profile-{v.name}", "" if i else "Height along the path", charts.height_profile(facts, outlines, v),
             caption if i == len(drawn) - 1 else "", f"Height of {v.name} over the terrain along its path.",
         )  # fmt: skip
-
-
-def _picture(name: str, title: str, figure: Figure, caption: str, alt: str) -> _Picture:
-    return _Picture(name, title, caption, alt, style.to_png(figure))
 
 
 def _spare_m(v: Course) -> float:
@@ -364,16 +311,16 @@ def _headline(facts: Facts) -> str:
     return f"Not clear: {count} check{'s' if count > 1 else ''} of the {what} failed."
 
 
-def _tiles(facts: Facts) -> Iterator[_Tile]:
+def _tiles(facts: Facts) -> Iterator[Tile]:
     plan, flight = facts.plan, facts.flight
     if plan.arrival_s is not None:
-        yield _Tile("common arrival", _clock(plan.arrival_s), f"{plan.arrival_s:.1f} s after mission start")
+        yield Tile("common arrival", _clock(plan.arrival_s), f"{plan.arrival_s:.1f} s after mission start")
     else:
         last = max(v.plan.arrival_s for v in facts.vehicles)
-        yield _Tile("last arrival", _clock(last), f"{last:.1f} s after mission start")
+        yield Tile("last arrival", _clock(last), f"{last:.1f} s after mission start")
     if flight is not None and len(facts.vehicles) > 1:
         spread_s = flight.arrival_spread_s
-        yield _Tile(
+        yield Tile(
             "arrivals flown", "incomplete" if spread_s is None else f"{spread_s:.2f} s", "from first to last",
             bad=spread_s is None,
         )  # fmt: skip
@@ -381,12 +328,12 @@ def _tiles(facts: Facts) -> Iterator[_Tile]:
     separation = facts.flown_separation if facts.flown else plan.separation
     if separation is not None:
         note = f"{'flown' if facts.flown else 'predicted'}; {separation.required_m:g} m required; {separation.what}"
-        yield _Tile("least between vehicles", f"{separation.distance_m:.1f} m", note, bad=not separation.ok)
+        yield Tile("least between vehicles", f"{separation.distance_m:.1f} m", note, bad=not separation.ok)
     total = sum(v.plan.length_m for v in facts.vehicles)
-    yield _Tile("paths", _length(total), f"{len(facts.vehicles)} vehicle{'s' if len(facts.vehicles) > 1 else ''}")
+    yield Tile("paths", _length(total), f"{len(facts.vehicles)} vehicle{'s' if len(facts.vehicles) > 1 else ''}")
 
 
-def _least_tiles(sketch: Sketch) -> Iterator[_Tile]:
+def _least_tiles(sketch: Sketch) -> Iterator[Tile]:
     for what, label in (("terrain", "least above ground"), ("obstacle", "least to obstacles")):
         found = [
             (c, v.name)
@@ -399,7 +346,7 @@ def _least_tiles(sketch: Sketch) -> Iterator[_Tile]:
         least, name = min(found, key=lambda entry: entry[0].distance_m - entry[0].required_m)
         thing = f"{least.what}, {name}" if what == "obstacle" else name
         note = f"{_how(sketch)}; {least.required_m:g} m required; {thing}"
-        yield _Tile(label, _metres(least.distance_m), note, bad=not least.ok)
+        yield Tile(label, _metres(least.distance_m), note, bad=not least.ok)
 
 
 def _speeds(plan: VehiclePlan) -> str:
