@@ -40,7 +40,12 @@ _SHORTER = (0.97, 0.985, 0.995)  # of its longest tours, what is tried next
 _PRIZE_S = 3000.0  # what a target of mean weight is worth: more than any way to it
 _ORDERS = 4  # ways to fly the visits of one target one after the other
 _SAME = 1e-9
+_PRIZE_MIN = 0.05  # of a mean weight: even what weighs nothing is inspected where there is time
 _REFINEMENTS = 4
+_PER_EXCHANGE = 10  # iterations of the solver take about as long as one exchange of targets
+_DISTURBED = 4  # targets that are taken out together at most
+_NOISE = 0.3
+_TRIES, _EVENER_TRIES = 12, 200
 _EVEN_S = 10.0  # flight times that differ by less are equal
 _MEND = 0.995
 _MENDS = 6
@@ -222,9 +227,9 @@ class _Problem:
     # what routes take
 
     def route_s(self, route: _Route) -> float:
-        return float(self._along(route, self.costs.time_s).sum())
+        return float(self.along(route, self.costs.time_s).sum())
 
-    def _along(self, route: _Route, of: FloatArray) -> FloatArray:
+    def along(self, route: _Route, of: FloatArray) -> FloatArray:
         home = self.costs.home(route.vehicle)
         places = np.array([home, *route.forms, home])
         steps: FloatArray = of[self.costs.model[route.vehicle], places[:-1], places[1:]]
@@ -235,13 +240,16 @@ class _Problem:
         costs = self.costs
         found = []
         for route in routes:
-            used = np.cumsum(self._along(route, costs.energy_share))
+            used = np.cumsum(self.along(route, costs.energy_share))
             need = float(used[-1])
             if costs.returns:
                 v, forms = route.vehicle, list(route.forms)
                 heights = costs.return_height_m[v, forms]
-                home = costs.home_share[v, forms] + costs.higher_share_m[v] * (heights.max() - heights)
-                need = max(need, float((used[:-1] + home).max()))
+                higher = float(costs.higher_share_m[v])
+                home = costs.home_share[v, forms] + higher * (heights.max() - heights)
+                top_m = float(heights.max() - costs.top_height_m[v])
+                top = float(costs.top_share[v]) + higher * max(0.0, top_m)
+                need = max(need + top, float((used[:-1] + home).max()))
             found.append(need if math.isfinite(self.route_s(route)) else math.inf)
         return found
 
@@ -350,16 +358,30 @@ def _split(problem: _Problem) -> _Plan:
     for v, p in zip(*linear_sum_assignment(far), strict=True):
         left = [targets[k] for k in parts[p]]
         for _ in range(problem.sorties_max):
-            route, count = None, 0
-            while left and count < len(left):
-                longer = _out_and_back(problem, int(v), left[: count + 1])
-                if not problem.fits(longer):
-                    break
-                route, count = longer, count + 1
-            if route is not None:
-                routes.append(route)
-            left = left[max(count, 1) :]  # what does not even fit alone is not its
+            first, last = _window(problem, int(v), left)
+            if first < last:
+                routes.append(_out_and_back(problem, int(v), left[first:last]))
+            left = left[:first] + left[last:]
     return tuple(routes)
+
+
+def _window(problem: _Problem, vehicle: int, targets: Sequence[str]) -> tuple[int, int]:
+    """Return which of targets in their order one sortie inspects: the nearest to home, and on to both sides."""
+    away = problem.costs.time_s[problem.costs.model[vehicle], problem.costs.home(vehicle)]
+    near_s = [min(float(away[f]) for u in problem.targets[t] for f in problem.forms[u]) for t in targets]
+    for nearest in np.argsort(near_s, kind="stable").tolist():
+        first, last = nearest, nearest + 1
+        if not problem.fits(_out_and_back(problem, vehicle, targets[first:last])):
+            continue
+        while True:
+            wider = [(near_s[first - 1], first - 1, last)] if first > 0 else []
+            wider += [(near_s[last], first, last + 1)] if last < len(targets) else []
+            fitting = (w for w in sorted(wider) if problem.fits(_out_and_back(problem, vehicle, targets[w[1] : w[2]])))
+            found = next(fitting, None)
+            if found is None:
+                return first, last
+            _, first, last = found
+    return 0, 0
 
 
 def _out_and_back(problem: _Problem, vehicle: int, targets: Sequence[str]) -> _Route:
@@ -454,7 +476,7 @@ class _Search:
         self._score = problem.score(start)
         self._spare = np.zeros(problem.vehicles)  # of each battery: what the solver cannot know of ways home
         visits = [visit for of in problem.targets.values() for visit in of]
-        self._visits = [_Choice(tuple((form,) for form in problem.forms[visit])) for visit in visits]
+        self._visits = {visit: _Choice(tuple((form,) for form in problem.forms[visit])) for visit in visits}
 
     def offer(self, plan: _Plan) -> bool:
         """Take a plan if it is better than the best so far."""
@@ -473,7 +495,7 @@ class _Search:
         rounds = len(problem.rounds_of(self.found)) if self._complete else problem.sorties_max
         while rounds >= _rounds_min(problem):
             start = [route for timed in problem.rounds_of(self.found)[:rounds] for _, route in timed]
-            plan = self._mended_run(self._visits, self._fleet([math.inf] * rounds), tuple(start))
+            plan = self._mended_run(list(self._visits.values()), self._fleet([math.inf] * rounds), tuple(start))
             if plan is None or not self._complete:
                 break
             rounds = min(rounds, len(problem.rounds_of(self.found))) - 1
@@ -488,24 +510,77 @@ class _Search:
         for share in _SHORTER:
             rounds = self._problem.rounds_of(self.found)
             longest = [max(time_s for time_s, _ in round_) for round_ in rounds]
-            self._mended_run(self._visits, self._fleet([share * s for s in longest]), self.found)
+            self._mended_run(list(self._visits.values()), self._fleet([share * s for s in longest]), self.found)
 
     def most_weight(self) -> None:
-        """Find the targets of most weight that can be inspected."""
+        """Find the targets of most weight that can be inspected.
+
+        The solver chooses targets whose visits follow one upon the other. Then targets that are near each other are
+        taken out and what weighs more per second is put in, again and again, each visit where it fits best; and the
+        solver orders anew what was chosen.
+        """
         problem = self._problem
         mean = sum(problem.weights[target] for target in problem.targets) / len(problem.targets)
         choices = [
-            _Choice(_orders(problem, visits), _PRIZE_S * problem.weights[target] / (mean or 1.0))
+            _Choice(_orders(problem, visits), _PRIZE_S * max(problem.weights[target] / (mean or 1.0), _PRIZE_MIN))
             for target, visits in problem.targets.items()
         ]
-        self._mended_run(choices, self._fleet([math.inf] * problem.sorties_max), None)
-        self.offer(self._filled(self.found))
+        fleet = self._fleet([math.inf] * problem.sorties_max)
+        self._mended_run(choices, fleet, None)
+        for _ in range(_REFINEMENTS):
+            before = self._score
+            self._exchange()
+            chosen = {visit for target in problem.inspected(self.found) for visit in problem.targets[target]}
+            choices = [choice for visit, choice in self._visits.items() if visit in chosen]
+            self._mended_run(choices, fleet, self.found)
+            self.offer(self._grown(self.found))
+            if self._score == before:
+                break
+
+    def _exchange(self) -> None:
+        """Take out targets near each other, put in what fits; keep what is better."""
+        problem = self._problem
+        places = {t: problem.costs.visits[visits[0]].viewpoints[0].position_m for t, visits in problem.targets.items()}
+        for _ in range(max(1, problem.settings.iterations // _PER_EXCHANGE)):
+            inspected = sorted(problem.inspected(self.found))
+            if not inspected or len(inspected) == len(problem.targets):
+                break
+            centre = places[inspected[int(self._rng.integers(len(inspected)))]]
+            count = 1 + int(self._rng.integers(_DISTURBED))
+            out = set(sorted(inspected, key=lambda t: float(np.hypot(*(places[t] - centre)[:2])))[:count])
+            routes = (
+                _Route(r.vehicle, tuple(f for f in r.forms if problem.target_of(f) not in out)) for r in self.found
+            )
+            self.offer(self._grown(tuple(r for r in routes if r.forms), self._rng))
+
+    def _grown(self, plan: _Plan, rng: np.random.Generator | None = None) -> _Plan:
+        """Return a plan with more targets, those first that weigh most for the time that they take."""
+        problem = self._problem
+        left = [target for target in problem.targets if target not in problem.inspected(plan)]
+        while left:
+            moves = _Moves(problem, plan)
+            worth = moves.worth(left)
+            if rng is not None:
+                worth *= rng.uniform(1.0 - _NOISE, 1.0 + _NOISE, len(left))
+            order = [k for k in np.argsort(-worth, kind="stable").tolist() if worth[k] > 0.0]
+            found = ((moves.with_target(left[k]), k) for k in order[: None if rng is None else _TRIES])
+            grown = next(((routes, k) for routes, k in found if routes is not None), None)
+            if grown is None:
+                break
+            plan = grown[0]
+            del left[grown[1]]
+        return plan
 
     def even_out(self) -> None:
-        """Let all vehicles fly about as long."""
-
-    def _filled(self, plan: _Plan) -> _Plan:
-        return plan
+        """Let all vehicles fly about as long: at first all tours, then single visits change tours while that helps."""
+        problem = self._problem
+        rounds = len(problem.rounds_of(self.found))
+        mean_s = sum(problem.route_s(route) for route in self.found) / (rounds * problem.vehicles)
+        self._mended_run(list(self._visits.values()), self._fleet([mean_s] * rounds), self.found)
+        plan: _Plan | None = self.found
+        while plan is not None:
+            self.offer(plan)
+            plan = _Moves(problem, plan, rounds).evener()
 
     def _mended_run(
         self, choices: Sequence[_Choice], fleet: Sequence[tuple[int, float]], start: _Plan | None
@@ -544,6 +619,109 @@ class _Search:
             initial_solution=None if start is None else model.encoded(start),
         )
         return model.decoded(result.best) if result.best.is_feasible() else None
+
+
+class _Moves:
+    """How single visits fit into the tours of a plan, and into one more tour of who may still fly one."""
+
+    def __init__(self, problem: _Problem, plan: _Plan, rounds: int | None = None) -> None:
+        self._problem = problem
+        sorties = problem.sorties_max if rounds is None else rounds
+        free = [v for v in range(problem.vehicles) if sum(r.vehicle == v for r in plan) < sorties]
+        self._routes = [*plan, *(_Route(v, ()) for v in free)]
+        shape = (len(self._routes), len(problem.costs.forms))
+        self._more_s, self._fits = np.full(shape, np.inf), np.zeros(shape, dtype=np.bool_)
+        for k, route in enumerate(self._routes):
+            more_s, more = self._more(route, problem.costs.time_s), self._more(route, problem.costs.energy_share)
+            self._more_s[k] = more_s.min(axis=0)
+            spare = problem.budget[route.vehicle] - float(problem.along(route, problem.costs.energy_share).sum())
+            self._fits[k] = more.min(axis=0) <= spare + _SAME
+
+    def _more(self, route: _Route, of: FloatArray) -> FloatArray:
+        """Return what each form (F) adds at each place of a route (K): (K, F)."""
+        costs = self._problem.costs
+        home, table = costs.home(route.vehicle), of[costs.model[route.vehicle]]
+        before, after = np.array([home, *route.forms]), np.array([*route.forms, home])
+        count = len(costs.forms)
+        more: FloatArray = table[before, :count] + table[:count, after].T - table[before, after][:, np.newaxis]
+        return more
+
+    def worth(self, targets: Sequence[str]) -> FloatArray:
+        """Return the weight of targets (N,) over how much longer they make the tours; 0 where none can take them."""
+        problem = self._problem
+        least_s = np.where(self._fits, self._more_s, np.inf).min(axis=0)
+        longer_s = np.array(
+            [sum(min(least_s[f] for f in problem.forms[v]) for v in problem.targets[target]) for target in targets]
+        )
+        weights = np.array([max(problem.weights[target], _SAME) for target in targets])
+        worth: FloatArray = np.where(np.isfinite(longer_s), weights / np.maximum(longer_s, _TICK_S), 0.0)
+        return worth
+
+    def with_target(self, target: str) -> _Plan | None:
+        """Return the plan with a target, each of its visits where it makes a tour the least longer; None: none fits."""
+        routes = self._routes
+        for visit in self._problem.targets[target]:
+            moves = self if routes is self._routes else _Moves(self._problem, tuple(r for r in routes if r.forms))
+            grown = moves._with_visit(visit)
+            if grown is None:
+                return None
+            routes = grown
+        return tuple(route for route in routes if route.forms)
+
+    def _with_visit(self, visit: int) -> list[_Route] | None:
+        forms = list(self._problem.forms[visit])
+        longer_s = np.where(self._fits[:, forms], self._more_s[:, forms], np.inf).min(axis=1)
+        for k in np.argsort(longer_s, kind="stable").tolist():
+            if not math.isfinite(longer_s[k]):
+                break
+            longer = self._longer(k, visit)
+            if longer is not None:
+                return [*self._routes[:k], longer, *self._routes[k + 1 :]]
+        return None
+
+    def _longer(self, k: int, visit: int) -> _Route | None:
+        """Return a route with a visit, where it adds the least of some places at which the battery suffices."""
+        route, forms = self._routes[k], list(self._problem.forms[visit])
+        more_s = self._more(route, self._problem.costs.time_s)[:, forms]
+        for flat in np.argsort(more_s, axis=None, kind="stable")[:_TRIES].tolist():
+            at, form = divmod(flat, len(forms))
+            longer = _Route(route.vehicle, (*route.forms[:at], forms[form], *route.forms[at:]))
+            if math.isfinite(more_s[at, form]) and self._problem.fits(longer):
+                return longer
+        return None
+
+    def evener(self) -> _Plan | None:
+        """Return a plan in which one visit is another's, so that flight times differ less; None: there is none."""
+        problem = self._problem
+        flown_s = np.zeros(problem.vehicles)
+        for route in self._routes:
+            flown_s[route.vehicle] += problem.route_s(route)
+        owner = np.array([route.vehicle for route in self._routes])
+        options = []
+        for k, route in enumerate(self._routes):
+            steps = problem.along(route, problem.costs.time_s)
+            table = problem.costs.time_s[problem.costs.model[route.vehicle]]
+            home = problem.costs.home(route.vehicle)
+            places = (home, *route.forms, home)
+            for n, form in enumerate(route.forms):
+                less_s = float(
+                    steps[n] + steps[n + 1] - (table[places[n], places[n + 2]] if len(route.forms) > 1 else 0)
+                )
+                others = list(problem.forms[int(problem.costs.visit[form])])
+                more_s = np.where(self._fits[:, others], self._more_s[:, others], np.inf).min(axis=1)
+                mine_s, theirs_s = flown_s[route.vehicle], flown_s[owner]
+                change = (mine_s - less_s) ** 2 + (theirs_s + more_s) ** 2 - mine_s**2 - theirs_s**2
+                change[owner == route.vehicle] = np.inf
+                options += [(float(change[to]), k, n, int(to)) for to in np.flatnonzero(change < -1.0)]
+        for _, k, n, to in sorted(options)[:_EVENER_TRIES]:
+            route = self._routes[k]
+            longer = self._longer(to, int(problem.costs.visit[route.forms[n]]))
+            shorter = _Route(route.vehicle, route.forms[:n] + route.forms[n + 1 :])
+            if longer is not None and (not shorter.forms or problem.fits(shorter)):
+                changed = {k: shorter, to: longer}
+                routes = [changed.get(i, r) for i, r in enumerate(self._routes)]
+                return tuple(r for r in routes if r.forms)
+        return None
 
 
 class _Watch(pyvrp.IteratedLocalSearchCallbacks):
@@ -585,8 +763,9 @@ class _Model:
             time_s[:, :count] += within_s
             share[:, :count] += within
             if costs.returns:
-                home = costs.home_share[:, last[:count]].T
-                share[:count, count:] = np.maximum(share[:count, count:], home)
+                higher = np.maximum(costs.return_height_m[:, last[:count]].T - costs.top_height_m, 0.0)
+                share[:count, count:] += costs.top_share + costs.higher_share_m * higher
+                share[:count, count:] = np.maximum(share[:count, count:], costs.home_share[:, last[:count]].T)
             np.fill_diagonal(time_s, 0.0)  # as the solver will have it
             np.fill_diagonal(share, 0.0)
             times.append(_whole(time_s, _TICK_S))
@@ -614,7 +793,7 @@ class _Model:
             clients=clients,
             depots=[pyvrp.Depot(location=count + v) for v in range(vehicles)],
             vehicle_types=[self._type(v, longest_s, float(budget[v]), int(costs.model[v])) for v, longest_s in fleet],
-            distance_matrices=shares,  # type: ignore[arg-type]  (its stubs know numpy's types less well)
+            distance_matrices=shares,  # type: ignore[arg-type]  # as its stubs write numpy's types
             duration_matrices=times,  # type: ignore[arg-type]
             groups=groups,
         )
@@ -751,7 +930,7 @@ class _Graph:
         for m in range(len(cost)):
             own = inspection[m, forms]
             np.minimum(ways, cost[m][np.ix_(forms, forms)] - own, out=ways)
-            homes = [costs.home(v) for v in range(problem.vehicles) if costs.model[v] == m]
+            homes = np.array([costs.home(v) for v in range(problem.vehicles) if costs.model[v] == m])
             np.minimum(out, (cost[m][np.ix_(homes, forms)] - own).min(axis=0), out=out)
             np.minimum(back, cost[m][np.ix_(forms, homes)].min(axis=1), out=back)
         of_visits = np.minimum.reduceat(np.minimum.reduceat(ways, begins, axis=0), begins, axis=1)

@@ -70,6 +70,8 @@ class TravelCosts:
     home_share: FloatArray  # (V, F) what returning home during a form, or after it, takes beyond what the form took
     return_height_m: FloatArray  # (V, F) above home, at which that is
     higher_share_m: FloatArray  # (V,) per metre that it returns higher
+    top_height_m: FloatArray  # (V,) above home, of the take-off and of the end
+    top_share: FloatArray  # (V,) what returning from there, no higher, takes beyond landing as planned
     reserve_share: FloatArray  # (V,) left when it is back; 0 where nothing is known of its battery
     returns: bool  # whether it must be able to return from everywhere (fleet.direct_return)
 
@@ -117,9 +119,11 @@ def travel_costs(scene: Scene, visits: Sequence[Visit]) -> TravelCosts:
         energy_share=np.stack([table.energy_share for table in tables]),
         inspection_s=np.stack([table.inspection_s for table in tables]),
         inspection_share=np.stack([table.inspection_share for table in tables]),
-        home_share=np.array([row[0] for row in home]).reshape(-1, count),
-        return_height_m=np.array([row[1] for row in home]).reshape(-1, count),
+        home_share=np.array([row[0] for row in home]).reshape(len(fliers), count),
+        return_height_m=np.array([row[1] for row in home]).reshape(len(fliers), count),
         higher_share_m=np.array([row[2] for row in home]),
+        top_height_m=np.array([flier.top_m[2] - flier.task.home_m[2] for flier in fliers]),
+        top_share=np.array([_top_share(flier) for flier in fliers]),
         reserve_share=np.array([0.0 if f.energy is None else f.energy.reserve_share for f in fliers]),
         returns=scene.mission.fleet.direct_return == "required",
     )
@@ -703,6 +707,16 @@ def _home_shares(
     sink = flier.standing_share_s(home_m[2])
     higher = float(climb) / flier.motion.climb_rate_m_s + float(sink) / flier.motion.descent_rate_m_s
     return excess, heights, higher
+
+
+def _top_share(flier: _Flier) -> float:
+    """Return what returning takes, told to just before the end of a mission, beyond the end itself."""
+    if flier.energy is None:
+        return 0.0
+    height_m = float(flier.top_m[2] - flier.task.home_m[2])
+    flight = _at_speed(flier, flier.top_m[np.newaxis])
+    share = energy.return_share(flier.energy, flight, flier.task.home_m, height_m, flier.wind_m_s)[0]
+    return max(0.0, float(share) - flier.ending_share)
 
 
 def _index(scene: Scene, flier: _Flier) -> int:
