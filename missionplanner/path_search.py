@@ -8,21 +8,27 @@ long as that gains anything, and its best few finds are polished in turn. So a s
 only improve on it. A curve counts only when every leg fitted to it is proven clear with its whole tube, a plane's
 predicted flight likewise; if not, the next cheapest is tried, then the guess, and then another attempt hugs closer and
 keeps further off.
+
+A vehicle that stands still at a place has one problem before it and another after it: its way is searched piece by
+piece, and so is that of a copter through very many places. A piece of one leg that is clear itself, and costs nothing
+but its length and climb, is the best there is: nothing is searched.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from missionplanner.clearance import Margins, legs_clear, legs_within_angles, polyline_legs, tubes_clear
-from missionplanner.cost import Price
+from missionplanner.cost import THREADS, Price
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
@@ -33,7 +39,7 @@ from missionplanner.scene import VehicleTask
 from missionplanner.search.run import minimise
 from missionplanner.seeds import first_guesses
 from missionplanner.terrain_bounds import Pyramid
-from missionplanner.waypoints import fit_waypoints
+from missionplanner.waypoints import fit_waypoints, passes
 
 _EXTRA_M = (0.0, 1.0, 2.0, 4.0, 7.0)
 """How much wider the margins are in each attempt: beside steep ground, a tube needs more height than straight below."""
@@ -60,6 +66,11 @@ _ELSEWHERE = 0.25
 """How far from the centre of its box (1: across) a point of the swarm is another find than its centre."""
 _GENTLER = 0.85
 """By how much guesses climb and descend less when the curves around them were too steep."""
+_LONG = 16
+"""Sections of a copter's way between stops, more of which are not searched at once."""
+_LEAST_FOUND = ("voyage", "climb", "inspection")
+"""What any path pays: its length, and its climb; and all alike for towers that it does not pass."""
+_NO_PRICE = 1e-9
 _ANGLE_SLACK_RAD = math.radians(0.5)
 """The search keeps this far inside the climb limit, because a chord may be steeper than the curve it cuts."""
 
@@ -118,6 +129,7 @@ class PlannedPath:
     history: FloatArray
     evaluations: int
     seconds: SearchSeconds = field(default_factory=SearchSeconds)
+    pieces: tuple[PlannedPath, ...] = ()  # where it was searched piece by piece
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,6 +175,7 @@ class _Finds:
     price: Price
     budget: Budget
     seconds: SearchSeconds = field(default_factory=SearchSeconds)
+    begin: int = 0  # the stop at which the route begins, for messages
     history: list[float] = field(default_factory=list)
     evaluations: int = 0
     curves: list[_Curve] = field(default_factory=list)
@@ -202,19 +215,184 @@ class Guesses:
     graph_s: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """A part of a vehicle's way that is searched on its own: ``task`` has that part of the route only."""
+
+    task: VehicleTask
+    begin: int  # its first place's index in the whole route
+    share: tuple[float, float]  # of the whole flight's time, roughly: when it begins and ends
+
+
+def pieces_of(task: VehicleTask) -> list[Piece]:
+    """Return the parts of a way that do not depend on each other: between the places where a copter stands still.
+
+    And of a copter's way through very many places at most so many; planes turn smoothly everywhere.
+    """
+    last = len(task.route_m) - 1
+    cuts = [0]
+    if task.motion.vehicle_class == "copter":
+        for k in range(1, last):
+            held = k in task.actions and task.actions[k].stand_s > 0.0
+            if held or (last > _LONG and k - cuts[-1] >= _LONG):
+                cuts.append(k)
+    cuts.append(last)
+    legs_s = np.linalg.norm(np.diff(task.route_m, axis=0), axis=1) / task.limits.speed_max_m_s
+    stands_s = [task.actions[k].stand_s if k in task.actions else 0.0 for k in range(1, last + 1)]
+    times = np.concatenate([[0.0], np.cumsum(legs_s + stands_s)])
+    times /= max(float(times[-1]), 1e-9)
+    return [
+        Piece(replace(task, route_m=task.route_m[a : b + 1], actions={}), a, (float(times[a]), float(times[b])))
+        for a, b in pairwise(cuts)
+    ]
+
+
+def _one_leg(task: VehicleTask, space: SpaceArrays, bounds: Pyramid, wider_m: float) -> FloatArray | None:
+    """Return the leg (2, 3) of a route of two places if it may be flown as it is, with room beyond; else None."""
+    leg: FloatArray = np.round(task.route_m, 3)
+    if len(leg) != 2:
+        return None
+    legs = leg[np.newaxis]
+    clear = tubes_clear(space, bounds, task.limits, legs, _WIRE_M + wider_m)
+    clear &= legs_within_angles(task.limits, legs, -_ANGLE_SLACK_RAD)
+    return leg if clear.all() else None
+
+
+def find_way(
+    task: VehicleTask,
+    space: SpaceArrays,
+    bounds: Pyramid,
+    names: tuple[str, ...],
+    price_of: Callable[[Piece, float], Price],
+    settings: Planner,
+    rng: np.random.Generator,
+    flown_is_clear: Callable[[FloatArray], bool],
+    on_iteration: Callable[[float], None] | None = None,
+    wider_m: Mapping[int, float] | None = None,
+    budget: Budget | None = None,
+    guesses: Guesses | None = None,
+    kept: Mapping[int, PlannedPath] | None = None,
+) -> PlannedPath:
+    """Return a vehicle's whole way, its pieces found by :func:`find_path`, which says what the arguments are.
+
+    Parameters
+    ----------
+    price_of
+        The price of a piece's curves when all margins are tighter by the metres given.
+    wider_m
+        By piece; default: no wider.
+    kept
+        Paths of pieces, by number, that are not searched again.
+
+    Raises
+    ------
+    InfeasibleError
+        As :func:`find_path`.
+    """
+    pieces = pieces_of(task)
+    budget = budget or Budget()
+    wider_m = wider_m or {}
+    kept = kept or {}
+    generators = rng.spawn(len(pieces)) if len(pieces) > 1 else [rng]
+    told = on_iteration if len(pieces) == 1 else None
+
+    def find(number: int) -> PlannedPath:
+        piece = pieces[number]
+        if number in kept and len(passes(piece.task.route_m[[0, -1]], kept[number].waypoints_m[[0, -1]])) == 2:
+            return kept[number]
+        prices = partial(price_of, piece)
+        room_m = wider_m.get(number, 0.0)
+        straight = _straight(piece, prices(room_m), space, bounds, room_m) if len(pieces) > 1 else None
+        if straight is not None:
+            return straight
+        known = guesses
+        if guesses is not None and guesses.sections is not None:
+            sections = guesses.sections[piece.begin : piece.begin + len(piece.task.route_m) - 1]
+            known = replace(guesses, sections=sections, graph_s=guesses.graph_s if number == 0 else 0.0)
+        return find_path(
+            piece.task, space, bounds, names, prices, settings, generators[number], flown_is_clear, told, room_m,
+            budget.part(min(1.0, THREADS / (len(pieces) - number))), known, begin=piece.begin,
+        )  # fmt: skip
+
+    if len(pieces) == 1:
+        return find(0)
+    found: list[PlannedPath] = []
+    with ThreadPoolExecutor(THREADS, thread_name_prefix="piece") as pool:
+        for path in pool.map(find, range(len(pieces))):
+            found.append(path)
+            if on_iteration is not None:
+                on_iteration(len(found) / len(pieces))
+    whole = _joined(pieces, found, price_of(Piece(task, 0, (0.0, 1.0)), settings.waypoint_tolerance_m))
+    if not flown_is_clear(whole.waypoints_m):
+        raise InfeasibleError(
+            f"{task.name}: its way is clear, but turns where its pieces meet more than it may: put stops around the "
+            "corners, or raise turn_angle_max_deg"
+        )
+    return whole
+
+
+def _straight(piece: Piece, price: Price, space: SpaceArrays, bounds: Pyramid, wider_m: float) -> PlannedPath | None:
+    """Return a piece of one leg, if no path is better; None: it is not known to be."""
+    leg = _one_leg(piece.task, space, bounds, wider_m)
+    if leg is None:
+        return None
+    samples = 1 + math.ceil(float(np.linalg.norm(leg[1] - leg[0])) / _SAMPLE_M)
+    shares = np.linspace(0.0, 1.0, samples + 1)[:, np.newaxis]
+    path_m: FloatArray = leg[0] + shares * (leg[1] - leg[0])
+    weighted = {name: float(value[0]) for name, value in price.weighted(path_m[np.newaxis]).items()}
+    cost = sum(weighted.values())
+    if not cost - sum(weighted[name] for name in _LEAST_FOUND) <= _NO_PRICE:
+        return None
+    terms = {name: float(v[0]) for name, v in price.terms(path_m[np.newaxis]).items()}
+    return PlannedPath(path_m, leg, float(length_m(path_m)), cost, terms, np.array([cost]), 1)
+
+
+def _joined(pieces: list[Piece], found: list[PlannedPath], price: Price) -> PlannedPath:
+    """Return the pieces' paths as one, its price that of the whole; its history weighs the pieces by their lengths."""
+    path_m = np.concatenate([found[0].path_m, *(path.path_m[1:] for path in found[1:])])
+    turns = max(len(path.history) for path in found)
+    lengths_m = np.array([float(length_m(piece.task.route_m)) for piece in pieces])
+    histories = [np.pad(path.history, (0, turns - len(path.history)), mode="edge") for path in found]
+    seconds = SearchSeconds(
+        *(sum(getattr(path.seconds, part.name) for path in found) for part in fields(SearchSeconds))
+    )
+    return PlannedPath(
+        path_m=path_m,
+        waypoints_m=np.concatenate([found[0].waypoints_m, *(path.waypoints_m[1:] for path in found[1:])]),
+        length_m=float(length_m(path_m)),
+        cost=float(price.total(path_m[np.newaxis])[0]),
+        cost_terms={name: float(v[0]) for name, v in price.terms(path_m[np.newaxis]).items()},
+        history=lengths_m @ np.array(histories) / lengths_m.sum(),
+        evaluations=sum(path.evaluations for path in found),
+        seconds=seconds,
+        pieces=tuple(found),
+    )
+
+
 def guess(
-    task: VehicleTask, space: SpaceArrays, names: tuple[str, ...], settings: Planner, clock: Clock | None = None
+    task: VehicleTask,
+    space: SpaceArrays,
+    bounds: Pyramid,
+    names: tuple[str, ...],
+    settings: Planner,
+    clock: Clock | None = None,
 ) -> Guesses:
-    """Return what :func:`find_path` begins with; it asks for it itself, unless it is given it.
+    """Return what :func:`find_way` begins with; it asks for it itself, unless it is given it.
 
     It depends on nobody else's path: those of several vehicles may be looked for at once, in threads.
     """
     began_s = clock() if clock is not None else 0.0
+    extra_m = settings.waypoint_tolerance_m + _EXTRA_M[0]
+    sections: list[list[FloatArray]] = []
+    unknown = False
+    pieces = pieces_of(task)
     try:
-        sections = _guess_sections(task, space, names, settings.waypoint_tolerance_m + _EXTRA_M[0], 1.0, 1)
+        for piece in pieces:
+            leg = _one_leg(piece.task, space, bounds, 0.0) if len(pieces) > 1 else None
+            sections += [[leg]] if leg is not None else _guess_sections(piece.task, space, names, extra_m, 1.0, 1)
     except InfeasibleError:
-        sections = None
-    return Guesses(sections, clock() - began_s if clock is not None else 0.0)
+        unknown = True
+    return Guesses(None if unknown else sections, clock() - began_s if clock is not None else 0.0)
 
 
 def find_path(
@@ -230,6 +408,7 @@ def find_path(
     wider_m: float = 0.0,
     budget: Budget | None = None,
     guesses: Guesses | None = None,
+    begin: int = 0,
 ) -> PlannedPath:
     """Return a clear, flyable, short and smooth path for one vehicle.
 
@@ -249,6 +428,8 @@ def find_path(
         How much longer it goes on improving.
     guesses
         What :func:`guess` found for the same task and space, where nothing wider is looked for.
+    begin
+        The stop at which the task's route begins, for messages.
 
     Raises
     ------
@@ -262,7 +443,7 @@ def find_path(
     for attempt, more_m in enumerate(_EXTRA_M):
         # the fitted legs may leave the curve by the tolerance
         extra_m = settings.waypoint_tolerance_m + wider_m + more_m
-        finds = _Finds(price_of(extra_m), budget, seconds)
+        finds = _Finds(price_of(extra_m), budget, seconds, begin)
         corner_m = _corner_m(task) / 2**attempt
         try:
             _guess(task, space, names, extra_m, gentleness, corner_m, finds, known=known if attempt == 0 else None)
@@ -409,14 +590,20 @@ def _guess(
 ) -> None:
     """Take the curves around the first guesses that are not tried yet, and polish the cheapest few."""
     with finds.timed("graph_s"):
-        sections = known or _guess_sections(task, space, names, extra_m, gentleness, count)
+        sections = known or _guess_sections(task, space, names, extra_m, gentleness, count, finds.begin)
         families = _families(sections, corner_m, finds)
     for family in families:
         finds.polished(family.base_m, family)
 
 
 def _guess_sections(
-    task: VehicleTask, space: SpaceArrays, names: tuple[str, ...], extra_m: float, gentleness: float, count: int
+    task: VehicleTask,
+    space: SpaceArrays,
+    names: tuple[str, ...],
+    extra_m: float,
+    gentleness: float,
+    count: int,
+    begin: int = 0,
 ) -> list[list[FloatArray]]:
     """Return, for each pair of consecutive route points, clear polylines (K, 3) between them, the shortest first."""
     climb_rad, descent_rad = (
@@ -425,7 +612,7 @@ def _guess_sections(
     )
     limits = replace(task.limits, climb_angle_rad=climb_rad, descent_angle_rad=descent_rad)
     sections = []
-    for index, (start, goal) in enumerate(pairwise(task.route_m)):
+    for index, (start, goal) in enumerate(pairwise(task.route_m), start=begin):
         try:
             sections.append(
                 first_guesses(space, limits, start, goal, count=count, clearance_extra_m=extra_m, names=names)

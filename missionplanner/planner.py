@@ -11,7 +11,7 @@ else nothing is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -28,7 +28,7 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 from missionplanner.obstacles import CableSolid, CylinderSolid, Solid
 from missionplanner.path import evenly, length_m
-from missionplanner.path_search import Budget, Clock, Guesses, PlannedPath, find_path, guess
+from missionplanner.path_search import Budget, Clock, Guesses, Piece, PlannedPath, find_way, guess, pieces_of
 from missionplanner.plan import Action, FleetPlan, Resolution, Trajectory, VehiclePlan
 from missionplanner.proof import Conflict
 from missionplanner.returns import Returning, UnreturnableError
@@ -36,7 +36,7 @@ from missionplanner.scene import Scene, Towers, VehicleTask
 from missionplanner.schedule import Flier, Meeting, Schedule, TooEarlyError, arrange
 from missionplanner.waypoints import passes
 
-_FELLOW_INSTANTS = 128
+_FELLOW_INSTANTS, _FELLOW_INSTANTS_LEAST = 128, 8
 _FELLOW_SLACK_M = 2.0
 _SEARCH_SHARE = 0.7
 """Of the time that is left for a search: what parts vehicles afterwards takes time as well."""
@@ -58,11 +58,13 @@ _DETOUR_ROOM_M = 5.0
 _BENDS = (1, 2, 3, 4, 6, 8)
 _STARTS = 3
 _PROOFS = 4
-_MENDS = 8
+_MENDS, _MENDED_PIECES = 8, 16
+"""How often vehicles are planned again that cannot return, for every so many pieces of the longest way."""
 _ROOM_M = 1.0
 """How much further off a vehicle is planned again that was not proven, beyond what it lacked."""
 _GENTLER, _GENTLEST_RAD = 0.7, math.radians(2.0)
 """How steeply a plane that was not proven climbs then, of how it did: a weak one lags behind a climb that is steep."""
+_AT_THE_SAME_M = 1.0
 _ROUTE_ROOM_M = 5.0
 """What the way around another's flight leaves of room at the route's own points, beyond the margin."""
 
@@ -166,9 +168,9 @@ class _Team:
         self._searched = searched
         self._budget = budget
         self._generators = np.random.default_rng(seed if start == 0 else [seed, start]).spawn(len(scene.tasks))
-        self._wider_m = [0.0] * len(scene.tasks)
+        self._wider_m: list[dict[int, float]] = [{} for _ in scene.tasks]  # by piece of the way
         self._climb_rad = [task.limits.climb_angle_rad for task in scene.tasks]
-        self._mends = _MENDS
+        self._mends = _MENDS * max([1, *(len(pieces_of(task)) // _MENDED_PIECES for task in scene.tasks)])
         self._overhead = _overhead(scene)
         self._avoided: list[list[Solid]] = [[] for _ in scene.tasks]
         self._detours: list[dict[int, FloatArray]] = [{} for _ in scene.tasks]
@@ -180,20 +182,29 @@ class _Team:
             self._paths.append(self._path(index, [], self._paths, guesses))
 
     def _path(
-        self, index: int, avoided: Sequence[Solid], fellows: Sequence[PlannedPath], guesses: Guesses | None = None
+        self,
+        index: int,
+        avoided: Sequence[Solid],
+        fellows: Sequence[PlannedPath],
+        guesses: Guesses | None = None,
+        again: Collection[int] | None = None,
     ) -> PlannedPath:
+        """Return a vehicle's path; ``again``: only these pieces of its way are searched, the others stay."""
         task = self._scene.tasks[index]
         detours = self._detours[index]
         for after in sorted(detours, reverse=True):
             before, after_m = task.route_m[: after + 1], task.route_m[after + 1 :]
-            task = replace(task, route_m=np.concatenate([before, detours[after], after_m]))
+            later = len(detours[after])
+            actions = {k if k <= after else k + later: action for k, action in task.actions.items()}
+            task = replace(task, route_m=np.concatenate([before, detours[after], after_m]), actions=actions)
         # the first plan's time is shared by those who have no path yet
         waiting = max(1, len(self._scene.tasks) - len(self._paths))
         budget = self._budget.part(_SEARCH_SHARE / waiting)
         task = replace(task, limits=replace(task.limits, climb_angle_rad=self._climb_rad[index]))
         rng, wider_m = self._generators[index], self._wider_m[index]
         avoided = [*self._overhead, *avoided]
-        found = _path(self._scene, avoided, task, fellows, rng, self._watch, wider_m, budget, guesses)
+        kept = {} if again is None else {k: p for k, p in enumerate(self._paths[index].pieces) if k not in again}
+        found = _path(self._scene, avoided, task, fellows, rng, self._watch, wider_m, budget, guesses, kept)
         if self._searched is not None:
             self._searched(found)
         return found
@@ -354,8 +365,10 @@ class _Team:
             other = plan.vehicles[conflict.first if index == conflict.second else conflict.second]
             flight = _flight_around(other, conflict, self._scene.tasks[index], tall=tall)
             before = self._paths[index]
+            around_s = _AVOID_S + conflict.late_s
+            again = _pieces_at(before, plan.vehicles[index], conflict.t_s - around_s, conflict.t_s + around_s)
             try:
-                path = self._path(index, [*self._avoided[index], *flight], self._fellows(index))
+                path = self._path(index, [*self._avoided[index], *flight], self._fellows(index), again=again)
             except InfeasibleError:
                 continue
             self._replace(index, path)
@@ -414,7 +427,8 @@ class _Team:
         if self._mends < 0 or error.t_s is None:
             return False
         if len(who) == 1:
-            return error.short_m > 0.0 and self._roomier(who[0], error.short_m)
+            again = _pieces_at(self._paths[who[0]], plan.vehicles[who[0]], error.t_s, error.t_s)
+            return error.short_m > 0.0 and self._roomier(who[0], error.short_m, again)
         first, second = sorted(who)
         required_m = proof.required_apart_m(self._scene, self._scene.tasks[first], self._scene.tasks[second])
         required_m += max(_braking_m(self._scene.tasks[k]) for k in who)  # they brake, perhaps towards each other
@@ -428,22 +442,60 @@ class _Team:
         for index in {names.index(f.vehicle) for f in helped}:
             own = [f for f in helped if f.vehicle == names[index] and f.check != "turn"]
             short_m = [f.required - f.value for f in own if f.value is not None and f.required is not None]
-            if not self._roomier(index, max([0.0, *(m for m in short_m if m < np.inf)])):
+            places_m = [f.position_m for f in helped if f.vehicle == names[index]]
+            again = _pieces_near(self._paths[index], [p for p in places_m if p is not None])
+            if None in places_m:
+                again = list(range(len(self._paths[index].pieces)))
+            if not self._roomier(index, max([0.0, *(m for m in short_m if m < np.inf)]), again):
                 return False
         return len(helped) == len(problems)
 
-    def _roomier(self, index: int, short_m: float) -> bool:
-        """Plan one vehicle again, further off everything by what it lacks and a little more."""
-        self._wider_m[index] += _ROOM_M + short_m
+    def _roomier(self, index: int, short_m: float, again: Collection[int]) -> bool:
+        """Plan pieces of one vehicle's way again, further off everything by what it lacks and a little more.
+
+        And all that are as near to something: what one lacks they are likely to lack as well.
+        """
+        wider_m = self._wider_m[index]
+        again = {*again, *self._tight(index, short_m + _ROOM_M)}
+        wider_m.update({k: wider_m.get(k, 0.0) + _ROOM_M + short_m for k in again or (0,)})
         if self._scene.tasks[index].motion.vehicle_class == "plane":
             legs = np.diff(self._paths[index].waypoints_m, axis=0)
             steepest_rad = float(np.arctan2(legs[:, 2], np.hypot(legs[:, 0], legs[:, 1])).max())
             self._climb_rad[index] = min(self._climb_rad[index], max(_GENTLER * steepest_rad, _GENTLEST_RAD))
         try:
-            self._replace(index, self._path(index, self._avoided[index], self._fellows(index)))
+            path = self._path(index, self._avoided[index], self._fellows(index), again=again)
+            self._replace(index, path)
         except InfeasibleError:
             return False
         return True
+
+    def _tight(self, index: int, spare_m: float) -> list[int]:
+        """Return which pieces of a vehicle's way are not clear by so much more than they must be."""
+        task, path = self._scene.tasks[index], self._paths[index]
+        if not path.pieces:
+            return []
+        space = _with(self._scene.space, self._overhead)
+        clear = tubes_clear(space, self._scene.terrain.bounds, task.limits, polyline_legs(path.waypoints_m), spare_m)
+        owner = np.repeat(range(len(path.pieces)), [len(piece.waypoints_m) - 1 for piece in path.pieces])
+        return sorted(set(owner[~clear].tolist()))
+
+
+def _pieces_at(path: PlannedPath, vehicle: VehiclePlan, begin_s: float, end_s: float) -> list[int]:
+    """Return which pieces of a vehicle's way are flown between two times; take-off and end belong to the outermost."""
+    ends = np.cumsum([0, *(len(piece.waypoints_m) - 1 for piece in path.pieces)])
+    left_s = vehicle.reached_s + np.concatenate([[0.0], vehicle.hold_s])
+    from_s, until_s = vehicle.reached_s[ends[:-1]], left_s[ends[1:]]
+    from_s[:1], until_s[-1:] = -np.inf, np.inf
+    return [k for k, (a, b) in enumerate(zip(from_s, until_s, strict=True)) if a <= end_s and b >= begin_s]
+
+
+def _pieces_near(path: PlannedPath, places_m: Sequence[Sequence[float]]) -> list[int]:
+    """Return which pieces of a vehicle's way are nearest to each of some places (3,); two where they meet."""
+    near: set[int] = set()
+    for place_m in places_m if path.pieces else ():
+        off_m = [distance_to_legs_m(np.array(place_m), polyline_legs(p.waypoints_m)).min() for p in path.pieces]
+        near.update(np.flatnonzero(np.array(off_m) <= min(off_m) + _AT_THE_SAME_M).tolist())
+    return sorted(near)
 
 
 def with_return_heights(scene: Scene, plan: FleetPlan) -> Scene:
@@ -716,9 +768,10 @@ def _path(
     fellows: Sequence[PlannedPath],
     rng: np.random.Generator,
     watch: Watch | None,
-    wider_m: float,
+    wider_m: Mapping[int, float],
     budget: Budget,
     guesses: Guesses | None,
+    kept: Mapping[int, PlannedPath],
 ) -> PlannedPath:
     """Return one vehicle's path around all that stands still and what is to be ``avoided``.
 
@@ -733,14 +786,14 @@ def _path(
     # what the proof asks for, and a little more: the price knows the fellows' timing only roughly
     separation_m = max(proof.required_apart_m(scene, task, other) for other in scene.tasks) + _FELLOW_SLACK_M
 
-    def price_of(extra_m: float) -> Price:
+    def price_of(piece: Piece, extra_m: float) -> Price:
         return Price(
             space=space,
             limits=task.limits,
-            route_length_m=float(np.linalg.norm(np.diff(task.route_m, axis=0), axis=1).sum()),
+            route_length_m=float(np.linalg.norm(np.diff(piece.task.route_m, axis=0), axis=1).sum()),
             weights=scene.mission.planner.weights,
             towers=unvisited,
-            fellows=fellows_m,
+            fellows=None if fellows_m is None else _meanwhile(fellows_m, piece.share),
             separation_m=separation_m,
             clearance_extra_m=extra_m,
         )
@@ -762,7 +815,7 @@ def _path(
         return True
 
     on_iteration = None if watch is None else lambda done: watch(task.name, done)
-    return find_path(
+    return find_way(
         task,
         space,
         scene.terrain.bounds,
@@ -775,7 +828,18 @@ def _path(
         wider_m,
         budget,
         guesses,
+        kept,
     )
+
+
+def _meanwhile(ways_m: FloatArray, share: tuple[float, float]) -> FloatArray:
+    """Return where others, whose whole ways are given (F, N, 3), are in a part of the flight's time."""
+    if share == (0.0, 1.0):
+        return ways_m
+    begin, end = share
+    at = np.linspace(begin, end, max(_FELLOW_INSTANTS_LEAST, round((end - begin) * _FELLOW_INSTANTS)))
+    instants = np.linspace(0.0, 1.0, _FELLOW_INSTANTS)
+    return np.stack([[np.interp(at, instants, way_m[:, k]) for k in range(3)] for way_m in ways_m]).swapaxes(1, 2)
 
 
 def _guesses(scene: Scene, avoided: Sequence[Solid], clock: Clock | None) -> Iterator[Guesses]:
@@ -783,7 +847,7 @@ def _guesses(scene: Scene, avoided: Sequence[Solid], clock: Clock | None) -> Ite
     space, names = _with(scene.space, avoided), _names(scene, avoided)
 
     def guessed(task: VehicleTask) -> Guesses:
-        return guess(task, space, names, scene.mission.planner, clock)
+        return guess(task, space, scene.terrain.bounds, names, scene.mission.planner, clock)
 
     if THREADS == 1 or len(scene.tasks) == 1:
         yield from map(guessed, scene.tasks)

@@ -33,7 +33,7 @@ from missionplanner.scene import RUNWAY_RISE_M, Scene, VehicleTask
 from missionplanner.sortie import Gap, Leg, Sortie
 from missionplanner.terrain_bounds import steepest
 from missionplanner.vehicle import MotionModel
-from missionplanner.waypoints import passes
+from missionplanner.waypoints import AT_STOP_M, passes
 
 ARRIVAL_ERROR_MAX_S = 0.5
 """How far a predicted arrival may be from the common one."""
@@ -727,7 +727,9 @@ def _radius_told(flight: Flight, flown_m: float) -> str:
 
 def turns_allowed(task: VehicleTask, waypoints_m: FloatArray) -> bool:
     """Return whether the corners of waypoints (W, 3) are ones that the vehicle may fly (eqs 5 and 8)."""
-    turns, radii_m = _corners(task, waypoints_m, np.zeros(len(waypoints_m), dtype=bool))
+    held_m = [task.route_m[point] for point, action in task.actions.items() if action.stand_s > 0.0]
+    stops = np.array([any(np.linalg.norm(at_m - point_m) <= AT_STOP_M for at_m in held_m) for point_m in waypoints_m])
+    turns, radii_m = _corners(task, waypoints_m, stops)
     limits = task.limits
     allowed = (turns <= limits.turn_angle_rad + _ANGLE_SLACK_RAD) & (radii_m >= limits.turn_radius_m * (1.0 - 1e-6))
     return bool(allowed.all())

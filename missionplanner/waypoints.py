@@ -20,10 +20,10 @@ LegsClear = Callable[[FloatArray], npt.NDArray[np.bool_]]
 """Legs (N, 2, 3) in; which of them may be flown (N,) out."""
 
 _EXCLUDED = np.inf
-_AT_STOP_M = 0.01  # coordinates are stored to a millimetre
+AT_STOP_M = 0.01  # coordinates are stored to a millimetre
 
 
-def passes(route_m: FloatArray, waypoints_m: FloatArray, within_m: float = _AT_STOP_M) -> list[int]:
+def passes(route_m: FloatArray, waypoints_m: FloatArray, within_m: float = AT_STOP_M) -> list[int]:
     """Return which waypoints (W, 3) are the points of a route (R, 3), in its order, up to the first one missed."""
     found: list[int] = []
     begin = 0
