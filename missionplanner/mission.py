@@ -238,7 +238,11 @@ class OverheadLine(Model):
     supports: tuple[Point, ...] = Field(min_length=2)
     support_radius_m: Size = 3.0
     cable_radius_m: Size = Field(3.0, description="half the width of the bundle of cables of a span")
-    catenary_m: Size = Field(2000.0, description="horizontal tension over weight per metre: the larger, the less sag")
+    catenary_m: Size | None = Field(
+        None,
+        description="horizontal tension over weight per metre: the larger, the less sag; default: 2000, and more where "
+        "a span would sag by more than 15 m",
+    )
     assumed: tuple[str, ...] = Field((), description="what nobody measured, e.g. height_agl_m")
 
 
@@ -348,7 +352,11 @@ class InspectedLine(Model):
     towers: tuple[Name, ...] = Field(min_length=2)
     voltage_kv: Positive | None = None
     conductor_radius_m: Size | None = Field(None, description="default: inspection.conductor_radius_m")
-    catenary_m: Size = Field(2000.0, description="horizontal tension over weight per metre: the larger, the less sag")
+    catenary_m: Size | None = Field(
+        None,
+        description="horizontal tension over weight per metre: the larger, the less sag; default: 2000, and more where "
+        "a span would sag by more than 15 m",
+    )
     spans: SpanViews | Literal["none"] | None = Field(None, description="instead of inspection.spans")
 
 

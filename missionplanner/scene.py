@@ -20,6 +20,7 @@ from missionplanner.mission import Mission
 from missionplanner.obstacles import (
     CableSolid,
     ConeSolid,
+    CurtainSolid,
     CylinderSolid,
     Obstacles,
     PrismSolid,
@@ -29,6 +30,7 @@ from missionplanner.obstacles import (
     pack,
 )
 from missionplanner.plan import Action
+from missionplanner.spans import SLACKEST, Catenary, Conductor, Span, catenary
 from missionplanner.terrain import Rectangle, Terrain
 from missionplanner.terrain_bounds import least_heights, steepest
 from missionplanner.vehicle import (
@@ -52,6 +54,7 @@ _TAKEOFF_ROOM_M = 10.0
 _SAME_PLACE_M = 1.0
 _TOLERANCE_M = 1e-6
 _STEP_M = 1.0  # between samples of the terrain
+_SPAN_MAX_M = 6000.0  # the longest there is crosses the Ameralik fjord with 5376 m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,10 +79,14 @@ class VehicleTask:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Towers:
-    """The towers to inspect: ``top_m`` (T, 3), weights (T,), names, and when one counts as inspected."""
+    """The towers: ``top_m`` (T, 3), heights and weights (T,), names, and when one counts as inspected.
+
+    One that is an obstacle only has weight 0.
+    """
 
     names: tuple[str, ...]
     top_m: FloatArray
+    height_m: FloatArray
     weight: FloatArray
     range_m: float
     share_min: float
@@ -94,6 +101,8 @@ class Scene:
     terrain: Terrain
     obstacles: Obstacles
     towers: Towers | None
+    spans: tuple[Span, ...]
+    conductors: tuple[Conductor, ...]  # of the spans and of all other lines
     area_m: Rectangle
     space: SpaceArrays
     tasks: tuple[VehicleTask, ...]
@@ -189,8 +198,12 @@ class _Builder:
         ]
         self._area, self._terrain = self._area_and_terrain(folder)
         self._towers = self._tower_tops()
+        self._spans = self._spans_of_lines()
+        others = [c for i, o in enumerate(question.obstacles) if o.kind == "line" for c in self._other_line(i, o)]
+        self._conductors = (*others, *(span.conductor for span in self._spans))
         declared = (solid for i, obstacle in enumerate(question.obstacles) for solid in self._solids(i, obstacle))
-        self._obstacles = pack([*declared, *self._line_solids()])
+        curtains = (solid for conductor in self._conductors for solid in _curtains(conductor))
+        self._obstacles = pack([*declared, *self._masts(), *curtains])
         self._space = self._everything()
 
     def scene(self, *, with_routes: bool = True) -> Scene:
@@ -206,6 +219,8 @@ class _Builder:
             terrain=self._terrain,
             obstacles=self._obstacles,
             towers=self._towers,
+            spans=self._spans,
+            conductors=self._conductors,
             area_m=self._area,
             space=self._space,
             tasks=tasks,
@@ -316,14 +331,22 @@ class _Builder:
     def _solids(self, index: int, obstacle: mission.Obstacle) -> list[Solid]:
         if not isinstance(obstacle, mission.OverheadLine):
             return [self._solid(index, obstacle)]
-        what = _obstacle(index, obstacle)
-        tops = [self._position(support, f"{what}.supports[{k}]") for k, support in enumerate(obstacle.supports)]
+        tops = np.array(self._support_tops(index, obstacle))
+        return [CylinderSolid(obstacle.name, x, y, obstacle.support_radius_m, z) for x, y, z in tops.tolist()]
+
+    def _support_tops(self, index: int, line: mission.OverheadLine) -> list[FloatArray]:
+        what = _obstacle(index, line)
+        return [self._position(support, f"{what}.supports[{k}]") for k, support in enumerate(line.supports)]
+
+    def _other_line(self, index: int, line: mission.OverheadLine) -> list[Conductor]:
+        what = _obstacle(index, line)
         return [
-            *(
-                CylinderSolid(f"{obstacle.name}", x, y, obstacle.support_radius_m, z)
-                for x, y, z in np.array(tops).tolist()
-            ),
-            *(CableSolid(obstacle.name, a, b, obstacle.cable_radius_m) for a, b in itertools.pairwise(tops)),
+            Conductor(
+                line.name,
+                _hung(f"{what}.supports[{k + 1}]", ("support", "the one before"), a, b, line.catenary_m),
+                line.cable_radius_m,
+            )
+            for k, (a, b) in enumerate(itertools.pairwise(self._support_tops(index, line)))
         ]
 
     def _solid(self, index: int, obstacle: _OneSolid) -> Solid:
@@ -395,30 +418,51 @@ class _Builder:
             what = _tower(i, tower)
             x, y = self._xy(tower, what)
             tops.append((x, y, self._terrain.ground_amsl_m(x, y, what) + tower.height_m))
+        none = np.array([tower.views == "none" for tower in inspection.towers])
         return Towers(
             names=tuple(tower.name for tower in inspection.towers),
             top_m=np.array(tops),
-            weight=np.array(inspection.weights, dtype=np.float64),
+            height_m=np.array([tower.height_m for tower in inspection.towers]),
+            weight=np.where(none, 0.0, np.array(inspection.weights, dtype=np.float64)),
             range_m=inspection.range_m,
             share_min=inspection.share_min,
         )
 
-    def _line_solids(self) -> list[Solid]:
-        """Return the towers as cylinders and, between neighbours, their conductors as cables from top to top."""
+    def _masts(self) -> list[Solid]:
+        """Return the towers as cylinders."""
         inspection, towers = self._mission.inspection, self._towers
         if inspection is None or towers is None:
             return []
-        masts = [
-            CylinderSolid(name, top[0], top[1], inspection.tower_radius_m, top[2])
-            for name, top in zip(towers.names, towers.top_m.tolist(), strict=True)
+        return [
+            CylinderSolid(name, x, y, inspection.tower_radius_m, z)
+            for name, (x, y, z) in zip(towers.names, towers.top_m.tolist(), strict=True)
         ]
-        spans = [
-            CableSolid(f"span {a}-{b}", start, end, inspection.conductor_radius_m)
-            for (a, b), (start, end) in zip(
-                itertools.pairwise(towers.names), itertools.pairwise(towers.top_m), strict=True
-            )
-        ]
-        return [*masts, *spans]
+
+    def _spans_of_lines(self) -> tuple[Span, ...]:
+        """Return the spans of all lines, in their order; one that several share once, the widest and the highest."""
+        inspection, towers = self._mission.inspection, self._towers
+        if inspection is None or towers is None:
+            return ()
+        index = {name: i for i, name in enumerate(towers.names)}
+        found: dict[frozenset[int], Span] = {}
+        for line in inspection.lines_or_one:
+            for ends in itertools.pairwise(line.towers):
+                first, second = (index[name] for name in ends)
+                what = f"inspection.lines ({line.name}): {ends[1]}"
+                start, end = towers.top_m[first], towers.top_m[second]
+                hung = _hung(what, ("tower", f"{ends[0]}, the one before it"), start, end, line.catenary_m)
+                radius_m = line.conductor_radius_m or inspection.conductor_radius_m
+                name, lines, between = "span {}-{}".format(*ends), (line.name,), frozenset((first, second))
+                if between in found:
+                    same = found[between]
+                    name, lines, (first, second) = same.name, (*same.lines, line.name), same.towers
+                    before = same.conductor
+                    hung = replace(before.catenary, constant_m=max(before.catenary.constant_m, hung.constant_m))
+                    radius_m = max(before.radius_m, radius_m)
+                found[between] = Span(
+                    name, tuple(dict.fromkeys(lines)), (first, second), hung.chords_m(), Conductor(name, hung, radius_m)
+                )
+        return tuple(found.values())
 
     def _everything(self) -> SpaceArrays:
         fence, top = np.zeros((0, 2)), math.inf
@@ -733,6 +777,37 @@ class _Builder:
                     f"{_named(i, vehicles[i])}, circles of planes included (fleet.separation_m), got {apart_m:.1f} m: "
                     "move one's goal (with rtl: home), or change its height"
                 )
+
+
+def _hung(
+    what: str, kinds: tuple[str, str], start_m: FloatArray, end_m: FloatArray, constant_m: float | None
+) -> Catenary:
+    """Return the conductor between the tops of two supports, the second named ``what``."""
+    this, before = kinds
+    across_m = _apart_across_m(start_m, end_m)
+    if across_m < _SAME_PLACE_M:
+        raise MissionError(
+            f"{what}: expected a {this} at least {_SAME_PLACE_M} m from {before}, got one {across_m:.2f} m away: "
+            "remove one of them"
+        )
+    if across_m > _SPAN_MAX_M:
+        raise MissionError(
+            f"{what}: expected a {this} within {_SPAN_MAX_M / 1000:g} km of {before}, got one "
+            f"{across_m / 1000:.1f} km away: check their order, or make them two lines"
+        )
+    found = catenary(start_m, end_m, constant_m)
+    if found.is_slack:
+        raise MissionError(
+            f"{what}: expected a catenary_m of at least {across_m / SLACKEST:.0f} m for the {across_m:.0f} m from "
+            f"{before}, got {found.constant_m:g}: so slack it would hang to the ground"
+        )
+    return found
+
+
+def _curtains(conductor: Conductor) -> Iterator[Solid]:
+    """Yield what stands for a conductor: nobody flies below it."""
+    for start, end in itertools.pairwise(conductor.catenary.chords_m()):
+        yield CurtainSolid(conductor.name, start, end, conductor.radius_m)
 
 
 def _stay(task: VehicleTask) -> tuple[FloatArray, float]:

@@ -340,7 +340,7 @@ def _section(shape: Shape, run: FloatArray, place: FloatArray, around_m: float) 
 
 
 def _section_colour(shape: Shape) -> tuple[float, ...]:
-    zone = shape.kind in ("radar", "marine", "no_fly")
+    zone = shape.kind in ("radar", "marine", "no_fly", "conductor", "line")
     return to_rgba(style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL), 0.45 if zone else 0.8)
 
 

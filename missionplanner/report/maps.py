@@ -29,7 +29,7 @@ from missionplanner.report.relief import (
     relief_colours,
     sample_ground,
 )
-from missionplanner.report.shapes import Shape
+from missionplanner.report.shapes import HANGING, Shape
 
 _MAP_WIDTH_IN = 7.3
 _MAP_LEFT_IN = 0.36
@@ -53,6 +53,7 @@ _KINDS = {
     "cable": "cable",
     "conductor": "conductors of the line",
     "tower": "tower of the line",
+    "line": "another line",
 }
 _CONDUCTOR: dict[str, Any] = {"color": "#55606a", "linewidth": 6.2, "alpha": 0.55, "solid_capstyle": "butt"}
 _BAND: dict[str, Any] = {"linewidth": 7.5, "alpha": 0.85}
@@ -234,7 +235,7 @@ def _draw_all(
     _label_vehicles(labels, facts)
     _label_places(axes, labels, places_m or {})
     _label_open_legs(axes, labels, facts)
-    _label_shapes(axes, labels, [s for s in shapes if s.kind not in ("tower", "conductor")])
+    _label_shapes(axes, labels, named(shapes))
     _label_towers(labels, facts)
     _label_contours(axes, labels, ground)
 
@@ -254,7 +255,7 @@ def _kind(shape: Shape) -> str:
 def _draw_shape(axes: Axes, shape: Shape) -> None:
     colour = style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL)
     outline = shape.outline_m
-    if shape.kind in ("cable", "conductor"):
+    if shape.kind in HANGING:
         if shape.kind == "conductor":  # wide enough to show on both sides of a path that follows the line
             axes.plot(outline[:, 0], outline[:, 1], zorder=4.5, **_CONDUCTOR)
         else:
@@ -266,9 +267,9 @@ def _draw_shape(axes: Axes, shape: Shape) -> None:
                 markeredgewidth=1.5, zorder=4.6,
             )  # fmt: skip
         return
-    if shape.kind == "tower":
+    if shape.kind in ("tower", "support"):
         axes.plot(
-            *shape.centre_m, marker="s", markersize=3.4, color=style.STEEL, markeredgecolor="white",
+            *shape.centre_m, marker="s", markersize=3.4, color=colour, markeredgecolor="white",
             markeredgewidth=0.6, zorder=8.5,
         )  # fmt: skip
         return
@@ -363,8 +364,8 @@ def _label_shapes(axes: Axes, labels: Labels, shapes: Sequence[Shape]) -> None:
     for shape in shapes:
         colour = style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL)
         must = len(shapes) <= 25
-        if shape.kind == "cable":
-            labels.place(shape.name, shape.axis_m.mean(axis=0), size=7.5, must=must, color=colour)
+        if shape.kind in HANGING:
+            labels.place(shape.name, shape.centre_m, size=7.5, must=must, color=colour)
             continue
         across_pt = float(np.ptp(axes.transData.transform(shape.outline_m), axis=0).min()) * 72.0 / axes.figure.dpi
         roomy = across_pt > 9.0 + 5.5 * len(shape.name)
@@ -372,6 +373,19 @@ def _label_shapes(axes: Axes, labels: Labels, shapes: Sequence[Shape]) -> None:
             continue
         gap_pt = 3.0 + (0.0 if roomy else max(across_pt / 2, 3.5))
         labels.place(shape.name, shape.centre_m, size=7.5, gap_pt=gap_pt, must=must, color=colour)
+
+
+def named(shapes: Sequence[Shape]) -> list[Shape]:
+    """Return the obstacles that are named: of towers only some are, of other lines the middle span."""
+    lines: dict[str, list[Shape]] = {}
+    for shape in shapes:
+        if shape.kind == "line":
+            lines.setdefault(shape.name, []).append(shape)
+    unnamed = ("tower", "conductor", "support", "line")
+    return [
+        *(shape for shape in shapes if shape.kind not in unnamed),
+        *(spans[len(spans) // 2] for spans in lines.values()),
+    ]
 
 
 def _label_towers(labels: Labels, facts: Sketch) -> None:
@@ -550,7 +564,7 @@ def _ring(marker: str, size: float, colour: str, width: float) -> dict[str, Any]
 
 def _key(kind: str) -> _Row:
     colour = style.OBSTACLE_COLOURS.get(kind.removeprefix("soft "), style.STEEL)
-    if kind in ("cable", "conductor"):
+    if kind in HANGING:
         return _Row(_KINDS[kind], _CONDUCTOR if kind == "conductor" else {"color": colour, "linewidth": 1.5})
     if kind == "tower":
         return _Row(_KINDS[kind], mark={"marker": "s", "markersize": 3.8, "color": colour})

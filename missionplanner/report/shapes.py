@@ -11,6 +11,7 @@ import numpy as np
 from missionplanner import kernels
 from missionplanner.geodesy import FloatArray
 from missionplanner.scene import Scene
+from missionplanner.spans import Conductor
 
 _ROUND = np.linspace(0.0, 2.0 * math.pi, 49)
 _KIND_NAMES = {
@@ -21,20 +22,26 @@ _KIND_NAMES = {
     kernels.PRISM: "no_fly",
     kernels.CABLE: "cable",
 }
+HANGING = ("cable", "conductor", "line")
+"""Kinds that are lines; all but the first with the room below them, down to the ground."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """One obstacle: its outline from above and its range of heights (AMSL; inf and -inf: without limit)."""
+    """One obstacle: its outline from above and its range of heights (AMSL; inf and -inf: without limit).
+
+    Kinds are those of the mission file; tower and conductor (a span) of lines to inspect; support and line (a span)
+    of others.
+    """
 
     name: str
-    kind: str  # cylinder, cone, radar, marine, no_fly, cable; tower and conductor for the inspected line's
+    kind: str  # cylinder, cone, radar, marine, no_fly, cable, or below
     hard: bool
-    outline_m: FloatArray  # (K, 2), closed; a cable's axis (2, 2)
-    radius_m: float  # of a round one, or of a cable
+    outline_m: FloatArray  # (K, 2), closed; what hangs: seen from above
+    radius_m: float  # of a round one, or of what hangs
     low_m: float
     high_m: float
-    axis_m: FloatArray  # (2, 3): a cable's ends; else centre at low and high
+    axis_m: FloatArray  # (2, 3): centre at low and high; what hangs: (K, 3) along it
 
     @property
     def centre_m(self) -> FloatArray:
@@ -43,20 +50,30 @@ class Shape:
 
 
 def shapes(scene: Scene) -> tuple[Shape, ...]:
-    """Return every obstacle of the scene, in order."""
-    declared = {obstacle.name for obstacle in scene.mission.obstacles}
-    names = scene.obstacles.names
-    return tuple(_shape(scene, i, name, name in declared) for i, name in enumerate(names))
+    """Return every obstacle of the scene, in order: solids, then what hangs between supports, span by span."""
+    declared = {obstacle.name: obstacle.kind for obstacle in scene.mission.obstacles}
+    arrays, names = scene.obstacles.arrays, scene.obstacles.names
+    solids = [
+        _shape(scene, i, names[i], declared.get(names[i]))
+        for i in np.flatnonzero(arrays.kind != kernels.CURTAIN).tolist()
+    ]
+    return (*solids, *(_span(conductor, conductor.name in declared) for conductor in scene.conductors))
 
 
-def _shape(scene: Scene, i: int, name: str, declared: bool) -> Shape:
+def _span(conductor: Conductor, other: bool) -> Shape:
+    curve = conductor.catenary.chords_m()
+    kind, high = "line" if other else "conductor", float(curve[:, 2].max())
+    return Shape(conductor.name, kind, True, curve[:, :2], conductor.radius_m, -math.inf, high, curve)
+
+
+def _shape(scene: Scene, i: int, name: str, declared: str | None) -> Shape:
     arrays = scene.obstacles.arrays
-    p, kind_code, hard = arrays.params[i], int(arrays.kind[i]), bool(arrays.hard[i])
-    kind = _KIND_NAMES[kind_code]
+    p, hard = arrays.params[i], bool(arrays.hard[i])
+    kind = _KIND_NAMES[int(arrays.kind[i])]
     if kind == "cable":
         ends = np.array([p[0:3], p[3:6]])
         low, high = float(ends[:, 2].min()), float(ends[:, 2].max())
-        return Shape(name, kind if declared else "conductor", hard, ends[:, :2], float(p[6]), low, high, ends)
+        return Shape(name, kind, hard, ends[:, :2], float(p[6]), low, high, ends)
     if kind == "no_fly":
         corners = arrays.vertices[arrays.vertex_start[i] : arrays.vertex_start[i + 1]]
         outline = np.concatenate([corners, corners[:1]])
@@ -65,7 +82,7 @@ def _shape(scene: Scene, i: int, name: str, declared: bool) -> Shape:
         return Shape(name, kind, hard, outline, 0.0, float(p[0]), float(p[1]), axis)
     if kind == "cylinder":
         radius, low, high = float(p[2]), -math.inf, float(p[3])
-        kind = kind if declared else "tower"
+        kind = {"cylinder": kind, "line": "support"}.get(declared or "", "tower")
     elif kind == "cone":
         radius, low, high = float(p[2]), float(p[3]), float(p[3] + p[4])
     else:
@@ -79,8 +96,10 @@ def vertical_range(shape: Shape, xy_m: FloatArray, around_m: float = 0.0) -> tup
 
     NaN where it takes none. The thickening of a cone is drawn a little too large.
     """
-    if shape.kind in ("cable", "conductor"):
-        return _cable_range(shape, xy_m, shape.radius_m + around_m)
+    if shape.kind in HANGING:
+        pieces = [_cable_range(a, b, xy_m, shape.radius_m + around_m) for a, b in itertools.pairwise(shape.axis_m)]
+        bottom, top = np.fmin.reduce([low for low, _ in pieces]), np.fmax.reduce([high for _, high in pieces])
+        return bottom if shape.kind == "cable" else np.where(np.isnan(top), top, -math.inf), top
     if shape.kind == "no_fly":
         corners = np.ascontiguousarray(shape.outline_m[:-1])
         out = np.array([kernels.polygon_distance(corners, 0, len(corners), x, y) for x, y in xy_m])
@@ -140,8 +159,10 @@ def _refined(outline_m: FloatArray, size_m: float) -> FloatArray:
     return np.concatenate([*sides, outline_m[-1:]])
 
 
-def _cable_range(shape: Shape, xy_m: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray]:
-    begin, step = shape.axis_m[0], shape.axis_m[1] - shape.axis_m[0]
+def _cable_range(
+    begin: FloatArray, end: FloatArray, xy_m: FloatArray, radius_m: float
+) -> tuple[FloatArray, FloatArray]:
+    step = end - begin
     run2 = max(float(step[:2] @ step[:2]), 1e-9)
     share = np.clip((xy_m - begin[:2]) @ step[:2] / run2, 0.0, 1.0)
     nearest = begin + share[:, None] * step

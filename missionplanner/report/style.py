@@ -47,6 +47,8 @@ OBSTACLE_COLOURS = {
     "marine": "#0b4f6c",
     "no_fly": "#b3261e",
     "cable": "#1d2730",
+    "line": "#4d2f6e",
+    "support": "#4d2f6e",
 }
 
 _RC: dict[str, object] = {

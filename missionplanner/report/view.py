@@ -24,9 +24,9 @@ from missionplanner.geodesy import FloatArray
 from missionplanner.report import style
 from missionplanner.report.facts import Course, Sketch
 from missionplanner.report.labels import Labels
-from missionplanner.report.maps import fence_sides, map_box, overlaps, within
+from missionplanner.report.maps import fence_sides, map_box, named, overlaps, within
 from missionplanner.report.relief import Box, Ground, relief_colours, sample_ground
-from missionplanner.report.shapes import Shape, facets
+from missionplanner.report.shapes import HANGING, Shape, facets
 
 _VIEWS = {"south-south-west": 24.0, "south-south-east": -24.0, "west-south-west": 60.0, "east-south-east": -60.0}
 _ELEVATION_RAD = math.radians(38.0)
@@ -34,6 +34,7 @@ _COLUMNS = 1440
 _DEPTHS = 900
 _GROUND_CELLS = 420
 _SKIRTS = ((168, 153, 133), (194, 181, 161))
+_WALL_ALPHA = 0.16  # of the room below conductors
 _LIGHT = np.array([-0.6, -0.25, 0.75])
 
 
@@ -211,18 +212,21 @@ def _draw_shapes(axes: Axes, facts: Sketch, block: _Block, shapes: Sequence[Shap
         if not overlaps(shape.outline_m, block.box):
             continue
         colour = style.OBSTACLE_COLOURS.get(shape.kind, style.STEEL)
-        if shape.kind in ("cable", "conductor"):
-            line = within(np.linspace(shape.axis_m[0], shape.axis_m[1], 100), block.box)
+        if shape.kind in HANGING:
+            line = within(_finely(shape.axis_m), block.box)
             if len(line) > 1:
                 _draw_line(axes, block, line, colour, 1.3 if shape.kind == "cable" else 0.8, zorder=5)
+                if shape.kind != "cable":
+                    polygons += _wall(facts, block, line, colour)
             continue
         centre = shape.centre_m
         heights = facts.scene.terrain.height_amsl_m(shape.outline_m[:, 0], shape.outline_m[:, 1])
         ground = float(heights.min())
         slim_m = 5e-3 * (block.right_m[-1] - block.right_m[0])
-        if shape.kind == "tower" or (shape.kind == "cylinder" and shape.radius_m < slim_m):
+        slim = shape.kind in ("tower", "support")
+        if slim or (shape.kind == "cylinder" and shape.radius_m < slim_m):
             stem = np.array([[*centre, ground], [*centre, min(shape.high_m, cap)]])
-            _draw_line(axes, block, stem, colour, 1.4 if shape.kind == "tower" else 2.4, zorder=5)
+            _draw_line(axes, block, stem, colour, 1.4 if slim else 2.4, zorder=5)
             continue
         for facet in facets(shape, ground if math.isfinite(ground) else block.camera.base_m, cap):
             polygons += _shaded(facts, block, facet, colour, 0.34 if shape.hard else 0.15)
@@ -233,6 +237,24 @@ def _draw_shapes(axes: Axes, facts: Sketch, block: _Block, shapes: Sequence[Shap
             edgecolors="none", zorder=4,
         )  # fmt: skip
         axes.add_collection(collection)
+
+
+def _finely(line_m: FloatArray) -> FloatArray:
+    """Return a line (K, 3) as many points (N, 3)."""
+    at = np.linspace(0.0, len(line_m) - 1.0, 100)
+    return np.stack([np.interp(at, np.arange(len(line_m)), line_m[:, k]) for k in range(3)], axis=1)
+
+
+def _wall(
+    facts: Sketch, block: _Block, line_m: FloatArray, colour: str
+) -> list[tuple[float, FloatArray, tuple[float, ...]]]:
+    """Return depth, outline on the screen and colour of what of the room below a line is seen, from both sides."""
+    foot = line_m.copy()
+    foot[:, 2] = np.fmin(line_m[:, 2], facts.scene.terrain.height_amsl_m(line_m[:, 0], line_m[:, 1]))
+    quads = np.stack([line_m[:-1], line_m[1:], foot[1:], foot[:-1]], axis=1)
+    middle = quads.mean(axis=1)
+    screen, depth = block.camera.project(quads), block.camera.turn(middle)[1]
+    return [(float(depth[i]), screen[i], (*to_rgb(colour), _WALL_ALPHA)) for i in np.flatnonzero(block.visible(middle))]
 
 
 def _cap_m(facts: Sketch, base_m: float) -> float:
@@ -325,8 +347,8 @@ def _label(labels: Labels, axes: Axes, facts: Sketch, block: _Block, shapes: Seq
             block.camera.project(places), f"{len(places)} {word}",
         )  # fmt: skip
     cap = _cap_m(facts, block.camera.base_m)
-    for shape in shapes:
-        if shape.kind in ("tower", "conductor") or not overlaps(shape.outline_m, block.box):
+    for shape in named(shapes):
+        if not overlaps(shape.outline_m, block.box):
             continue
         top = np.array([*shape.centre_m, min(shape.high_m, cap)])
         if block.visible(top):

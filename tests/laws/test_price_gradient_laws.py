@@ -68,7 +68,7 @@ def price_of(solids, fence, hilly, seed):
         HILLS if hilly else FLAT, pack(solids).arrays, outline, 70.0, np.array([-900.0, -900.0, 900.0, 900.0])
     )
     tops = rng.uniform(-300.0, 300.0, (3, 3))
-    towers = Towers(("a", "b", "c"), tops, np.array([1.0, 0.5, 2.0]), 40.0, 1.0)
+    towers = Towers(("a", "b", "c"), tops, np.full(3, 35.0), np.array([1.0, 0.5, 2.0]), 40.0, 1.0)
     fellows = np.stack([evenly(np.cumsum(rng.normal(0.0, 60.0, (6, 3)), axis=0), 40) for _ in range(2)])
     return Price(space, TIGHT, 400.0, Weights(atmosphere=1.0), towers, fellows, 60.0)
 

@@ -23,6 +23,7 @@ import rasterio
 import shapely
 import yaml
 from pyproj import CRS, Transformer
+from scipy.optimize import brentq
 
 STEP_M = 0.1
 ROUNDING_M = 0.05
@@ -80,7 +81,10 @@ class World:
         self.vehicles = [_over(self.mission.get("defaults", {}), v) for v in self.mission["vehicles"]]
         self.ground_m = self._ground(mission_path.parent)
         self.obstacles: list[tuple[str, Distance]] = [
-            (o["name"], self._solid(o)) for o in self.mission.get("obstacles", ()) if o.get("hard", True)
+            (o["name"], solid)
+            for o in self.mission.get("obstacles", ())
+            if o.get("hard", True)
+            for solid in (self._other_line(o) if o["kind"] == "line" else [self._solid(o)])
         ]
         self.obstacles += self._line()
         self.fence = self._fence()
@@ -153,6 +157,13 @@ class World:
                 return functools.partial(_cable, *ends, o.get("radius_m", 0.5))
         raise ValueError(f"obstacle of unknown kind: {o}")
 
+    def _other_line(self, o: dict[str, Any]) -> list[Distance]:
+        tops = [self.point(support) for support in o["supports"]]
+        return [
+            *(functools.partial(_cylinder, top[:2], o.get("support_radius_m", 3.0), top[2]) for top in tops),
+            *(_hung(a, b, o, o.get("cable_radius_m", 3.0)) for a, b in itertools.pairwise(tops)),
+        ]
+
     def _top(self, o: dict[str, Any], footprint: shapely.Polygon) -> float:
         if "top_alt_amsl_m" in o:
             return float(o["top_alt_amsl_m"])
@@ -182,9 +193,12 @@ class World:
             (t["name"], functools.partial(_cylinder, top[:2], radius, top[2]))
             for t, top in zip(towers, tops, strict=True)
         ]
+        top_of = dict(zip(self.tower_names, tops, strict=True))
+        lines = inspection.get("lines", [{"towers": self.tower_names}])
         spans: list[tuple[str, Distance]] = [
-            (f"span {a['name']}-{b['name']}", functools.partial(_cable, p, q, wide))
-            for (a, b), (p, q) in zip(itertools.pairwise(towers), itertools.pairwise(tops), strict=True)
+            (f"span {a}-{b}", _hung(top_of[a], top_of[b], line, line.get("conductor_radius_m", wide)))
+            for line in lines
+            for a, b in itertools.pairwise(line["towers"])
         ]
         return masts + spans
 
@@ -401,6 +415,29 @@ def _sphere(centre: Array, radius_m: float, p: Array) -> Array:
 def _cable(a: Array, b: Array, radius_m: float, p: Array) -> Array:
     share = np.clip((p - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
     return np.linalg.norm(p - a - share[:, np.newaxis] * (b - a), axis=1) - radius_m
+
+
+def _hung(a: Array, b: Array, line: dict[str, Any], radius_m: float) -> Distance:
+    """Return the distance to all below a catenary, its lowest point found by numbers; tight where nobody says how."""
+    across_m, rise_m = math.dist(a[:2], b[:2]), b[2] - a[2]
+    constant_m = line.get("catenary_m") or max(2000.0, across_m**2 / 120.0)
+    lowest_m = brentq(
+        lambda low: constant_m * (math.cosh((across_m - low) / constant_m) - math.cosh(low / constant_m)) - rise_m,
+        -20.0 * constant_m,
+        20.0 * constant_m + across_m,
+        xtol=1e-9,
+    )
+    u = np.linspace(0.0, across_m, 2 + int(across_m))
+    z = a[2] + constant_m * (np.cosh((u - lowest_m) / constant_m) - math.cosh(lowest_m / constant_m))
+    deep_m = min(a[2], b[2], z.min()) - 1e4
+    room = shapely.Polygon([*zip(u, z, strict=True), (across_m, deep_m), (0.0, deep_m)])
+
+    def distance(p: Array) -> Array:
+        along = (p[:, :2] - a[:2]) @ (b - a)[:2] / across_m
+        aside = ((p[:, 0] - a[0]) * (b[1] - a[1]) - (p[:, 1] - a[1]) * (b[0] - a[0])) / across_m
+        return np.hypot(aside, shapely.distance(room, shapely.points(along, p[:, 2]))) - radius_m
+
+    return distance
 
 
 def _prism(polygon: shapely.Polygon, floor_m: float, top_m: float, p: Array) -> Array:

@@ -47,7 +47,7 @@ def terms(path, *solids, limits=LIMITS, route_length_m=1000.0, space=None, **set
 def towers(*tops, weight=None, range_m=60.0):
     top_m = np.array(tops, dtype=float)
     weight = np.ones(len(tops)) if weight is None else np.array(weight, dtype=float)
-    return Towers(tuple(f"T{k}" for k in range(len(tops))), top_m, weight, range_m, 1.0)
+    return Towers(tuple(f"T{k}" for k in range(len(tops))), top_m, np.full(len(tops), 35.0), weight, range_m, 1.0)
 
 
 class TestByHand:

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from missionplanner import planner, proof
+from missionplanner import kernels, planner, proof
 from missionplanner.certificate import Certificate, Finding
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
@@ -653,6 +653,43 @@ def test_towers_and_conductors_are_told_from_declared_obstacles(scene: Scene) ->
     assert kinds.count("conductor") == 4
     assert kinds.count("cable") == 1
     assert kinds.count("cylinder") == 1
+
+
+LIFT = {
+    "kind": "line", "name": "lift", "supports": [at(-60, 300, 20), at(200, 380, 25), at(420, 400, 20)],
+    "catenary_m": 500,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "kind"), [("span T1-T2", "conductor"), ("lift", "line")])
+def test_the_section_of_a_span_is_all_below_its_conductors(name: str, kind: str) -> None:
+    scene = scene_of(question(obstacles=[LIFT]))
+    assert [shape.kind for shape in shapes(scene)].count("support") == 3
+    shape = next(shape for shape in shapes(scene) if shape.name == name and shape.kind == kind)
+    reach = np.ptp(shape.outline_m, axis=0).max() / 2 + 5.0
+    xy = shape.centre_m + np.random.default_rng(1).uniform(-reach, reach, (400, 2))
+    low, top = vertical_range(shape, xy)
+    taken = ~np.isnan(top)
+    assert taken.any()
+    assert not taken.all()
+    assert (low[taken] == -np.inf).all()
+    ends = shape.axis_m[:, :2]
+    between = np.all((xy > ends.min(axis=0)) & (xy < ends.max(axis=0)), axis=1)  # where no other span is as near
+    curtains = (scene.obstacles.arrays.kind == kernels.CURTAIN) & [n == name for n in scene.obstacles.names]
+
+    def distance(z: FloatArray | float) -> FloatArray:
+        return scene.obstacles.distance_m(np.column_stack([xy, np.zeros(len(xy)) + z]))[:, curtains].min(axis=1)
+
+    assert (distance(-1e3)[taken] <= 1e-6).all()
+    if kind == "conductor":  # of another line all spans have one name
+        assert (distance(-1e3)[~taken] >= -1e-9).all()
+    assert (distance(top - 0.3)[taken & between] <= 0.0).all()
+    assert (distance(top + 0.3)[taken & between] >= 0.0).all()
+
+
+def test_of_another_line_the_middle_span_is_named() -> None:
+    found = maps.named(shapes(scene_of(question(obstacles=[LIFT, MAST]))))
+    assert [(shape.name, shape.kind) for shape in found] == [("mast", "cylinder"), ("lift", "line")]
 
 
 # --- pictures ------------------------------------------------------------------------------------------------------

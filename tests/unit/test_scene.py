@@ -14,6 +14,7 @@ from missionplanner import kernels
 from missionplanner.errors import MissionError
 from missionplanner.mission import Mission, VehicleSettings, parse_mission
 from missionplanner.scene import TERRAIN_NAME, Scene, build_check_scene, build_scene, portable_mission
+from missionplanner.spans import conductor_distance_m
 from missionplanner.terrain import write_raster
 from missionplanner.vehicle import motion_model
 from tests.rasters import AREA, FRAME, hill, hill_in, write_tif
@@ -56,6 +57,15 @@ def at(x: float, y: float, alt: float | None = None, *, agl: float | None = None
     if agl is not None:
         place["height_agl_m"] = agl
     return place
+
+
+SAG_100_M = 2000.0 * (math.cosh(50.0 / 2000.0) - 1.0)
+
+
+def least_m(scene: Scene, name: str, position: list[float]) -> float:
+    """Return the distance to the nearest of the solids of this name."""
+    named = [n == name for n in scene.obstacles.names]
+    return float(scene.obstacles.distance_m(position)[named].min())
 
 
 MAST = {"kind": "cylinder", "name": "mast", "center": at(200, 0), "radius_m": 5}
@@ -117,9 +127,107 @@ def test_stops_are_flown_in_order_and_then_the_towers() -> None:
     assert scene.tasks[1].route_m[1:3, 0].tolist() == [300, 200]
     assert scene.towers is not None
     assert scene.towers.top_m.tolist() == pytest.approx(np.array([[100, 100, 130], [200, 100, 130], [300, 100, 130]]))
-    assert scene.obstacles.names == ("T1", "T2", "T3", "span T1-T2", "span T2-T3")
-    distance = scene.obstacles.distance_m([150.0, 100.0, 150.0])
-    assert distance[3] == pytest.approx(20 - 8)
+    assert list(dict.fromkeys(scene.obstacles.names)) == ["T1", "T2", "T3", "span T1-T2", "span T2-T3"]
+    assert least_m(scene, "span T1-T2", [150.0, 100.0, 150.0]) == pytest.approx(20 + SAG_100_M - 8, abs=0.01)
+
+
+def towers(*places: tuple[float, float], **more: Any) -> list[dict[str, Any]]:
+    return [{"name": f"T{i + 1}", **at(*place), "height_m": 30, **more} for i, place in enumerate(places)]
+
+
+def test_nobody_is_below_a_conductor_and_above_it_is_free() -> None:
+    line = {"towers": towers((100, 100), (400, 100))}
+    scene = scene_of(flying({}, inspection=line))
+    (span,) = scene.spans
+    assert (span.name, span.line, span.lines, span.towers) == ("span T1-T2", "line", ("line",), (0, 1))
+    assert span.curve_m[[0, -1]].tolist() == pytest.approx(np.array([[100, 100, 130], [400, 100, 130]]))
+    sag_m = 2000.0 * (math.cosh(150.0 / 2000.0) - 1.0)
+    lowest_m = 130 - sag_m
+    assert least_m(scene, "span T1-T2", [250.0, 100.0, 0.0]) == pytest.approx(-8)
+    assert least_m(scene, "span T1-T2", [250.0, 120.0, 110.0]) == pytest.approx(12)
+    over = least_m(scene, "span T1-T2", [250.0, 100.0, lowest_m + 50.0])
+    assert 42 - 0.5 <= over <= 42 + 1e-6  # the straight pieces lie above the cable, by half a metre at most
+    place = np.array([[250.0, 100.0, lowest_m - 30.0], [250.0, 130.0, lowest_m]])
+    assert conductor_distance_m(scene.conductors, place).tolist() == pytest.approx([22, 22])
+
+
+def test_circuits_on_the_same_towers_share_their_spans_as_wide_and_as_tight_as_either() -> None:
+    lines = [
+        {"name": "east", "towers": ["T1", "T2", "T3"], "conductor_radius_m": 3, "catenary_m": 4000},
+        {"name": "west", "towers": ["T4", "T2", "T1"], "conductor_radius_m": 5, "catenary_m": 1000},
+    ]
+    line = {"towers": towers((100, 100), (300, 100), (500, 100), (300, 200)), "lines": lines}
+    spans = scene_of(flying({}, inspection=line)).spans
+    assert [(s.name, s.lines, s.towers) for s in spans] == [
+        ("span T1-T2", ("east", "west"), (0, 1)),
+        ("span T2-T3", ("east",), (1, 2)),
+        ("span T4-T2", ("west",), (3, 1)),
+    ]
+    assert [(s.conductor.radius_m, s.conductor.catenary.constant_m) for s in spans] == [
+        (5, 4000),
+        (3, 4000),
+        (5, 1000),
+    ]
+
+
+def test_other_lines_are_supports_and_the_room_below_their_cables() -> None:
+    lift = {
+        "kind": "line", "name": "lift", "supports": [at(100, 100, agl=20), at(200, 100, agl=20), at(300, 150, 145)],
+        "catenary_m": 2000,
+    }  # fmt: skip
+    scene = scene_of(flying({}, obstacles=[lift]))
+    assert set(scene.obstacles.names) == {"lift"}
+    assert least_m(scene, "lift", [200.0, 95.0, 110.0]) == pytest.approx(5 - 3)
+    assert least_m(scene, "lift", [150.0, 100.0, 0.0]) == pytest.approx(-3)
+    assert least_m(scene, "lift", [150.0, 100.0, 130.0]) == pytest.approx(10 + SAG_100_M - 3, abs=0.01)
+    assert conductor_distance_m(scene.conductors, np.array([[150.0, 100.0, 130.0]])) == pytest.approx(
+        10 + SAG_100_M - 3
+    )
+    assert scene.spans == ()
+
+
+def test_a_tower_that_is_an_obstacle_only_weighs_nothing() -> None:
+    first, second = towers((100, 100), (300, 100))
+    scene = scene_of(flying({}, inspection={"towers": [{**first, "views": "none", "weight": 9}, second]}))
+    assert scene.towers is not None
+    assert scene.towers.weight.tolist() == [0, 1]
+    assert scene.towers.height_m.tolist() == [30, 30]
+    assert "T1" in scene.obstacles.names
+
+
+@pytest.mark.parametrize(
+    ("places", "line", "says"),
+    [
+        (
+            [(100, 100), (6200, 100)],
+            {},
+            "inspection.lines (line): T2: expected a tower within 6 km of T1, the one before it, got one 6.1 km away: "
+            "check their order, or make them two lines",
+        ),
+        (
+            [(100, 100), (100.5, 100)],
+            {},
+            "T2: expected a tower at least 1.0 m from T1, the one before it, got one 0.50",
+        ),
+        (
+            [(100, 100), (500, 100)],
+            {"catenary_m": 90},
+            "T2: expected a catenary_m of at least 100 m for the 400 m from",
+        ),
+    ],
+)
+def test_towers_that_no_conductor_can_hang_between(
+    places: list[tuple[float, float]], line: dict[str, Any], says: str
+) -> None:
+    lines = [{"name": "line", "towers": ["T1", "T2"], **line}]
+    assert says in problem_of(flying({}, inspection={"towers": towers(*places), "lines": lines}))
+
+
+def test_supports_that_no_cable_can_hang_between() -> None:
+    lift = {"kind": "line", "name": "lift", "supports": [at(100, 100, agl=20), at(7000, 100, agl=20)]}
+    assert problem_of(flying({}, obstacles=[lift])).startswith(
+        "obstacles[0] (lift).supports[1]: expected a support within 6 km of the one before, got one 6.9 km away"
+    )
 
 
 def test_a_plane_climbs_towards_its_first_point() -> None:
