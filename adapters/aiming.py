@@ -1,4 +1,4 @@
-"""Where cameras look, as headings and pitches: for formats whose aircraft cannot be told a place to look at."""
+"""Where cameras look, as headings and pitches, for formats that cannot name a place to look at; and for how long."""
 
 from __future__ import annotations
 
@@ -48,6 +48,13 @@ def headings_deg(vehicle: VehiclePlan, frame: LocalFrame) -> list[float]:
             heading = faced[-1] if faced else next((c for c in courses if c is not None), 0.0)
         faced.append(heading)
     return faced
+
+
+def hold_s(vehicle: VehiclePlan, waypoint: int) -> float:
+    """Return how long a vehicle stands still at a waypoint before it takes photos there: its waits, too."""
+    action = vehicle.actions.get(waypoint, Action())
+    stands_s = float(vehicle.hold_s[waypoint - 1]) if waypoint > 0 else 0.0
+    return action.hold_s + max(0.0, stands_s - action.stand_s)
 
 
 def turn_deg(from_deg: float, to_deg: float) -> float:

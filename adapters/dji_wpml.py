@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
-from adapters.aiming import aim, headings_deg, turn_deg
+from adapters.aiming import aim, headings_deg, hold_s, turn_deg
 from missionplanner.errors import MissionError
 from missionplanner.plan import Action, FleetPlan, VehiclePlan
 
@@ -235,9 +235,8 @@ class _Route:
         asked = aim(action, self._vehicle.waypoints_m[k], self._plan.frame)
         if asked is not None:
             yield self._tilt(asked.pitch_deg)
-        hold_s = max(action.hold_s, float(self._vehicle.hold_s[k - 1]) if k > 0 else 0.0)
-        if hold_s > 0.0:
-            yield _Step("hover", {"hoverTime": hold_s})
+        if (stands_s := hold_s(self._vehicle, k)) > 0.0:
+            yield _Step("hover", {"hoverTime": stands_s})
         for _ in range(action.photos):
             yield self._photo(action)
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adapters.aiming import aim, headings_deg, turn_deg
+from adapters.aiming import aim, headings_deg, hold_s, turn_deg
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
 from missionplanner.plan import Action, FleetPlan, VehiclePlan
@@ -97,11 +97,10 @@ def _waypoint(plan: FleetPlan, vehicle: VehiclePlan, k: int, heading_deg: float,
     here, following = vehicle.actions.get(k, Action()), vehicle.actions.get(k + 1, Action())
     position_m = vehicle.waypoints_m[k]
     own = aim(here, position_m, plan.frame)
-    hold_s = max(here.hold_s, float(vehicle.hold_s[k - 1]) if k > 0 else 0.0)
     actions: list[tuple[int, int]] = []
     if own is not None:
         actions += [(_TURN, round(heading_deg) % 360), (_TILT, round(own.pitch_deg))]
-    left_ms = round(1000.0 * hold_s)
+    left_ms = round(1000.0 * hold_s(vehicle, k))
     while left_ms > 0:
         actions.append((_STAY, min(left_ms, _STAY_MS)))
         left_ms -= _STAY_MS

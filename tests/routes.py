@@ -33,7 +33,7 @@ def looking(name: str = "alpha", sysid: int = 1, **changes: Any) -> VehiclePlan:
     actions = {k: action for k, action in ACTIONS.items() if k < len(plan.waypoints_m)}
     holds_s = np.zeros(len(plan.waypoints_m) - 1)
     for k, action in actions.items():
-        holds_s[k - 1] = action.hold_s
+        holds_s[k - 1] = action.stand_s
     return replace(plan, actions=actions, hold_s=holds_s)
 
 

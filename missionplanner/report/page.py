@@ -13,7 +13,7 @@ from missionplanner.certificate import Certificate
 from missionplanner.mission import Mission
 from missionplanner.plan import Clearance, FleetFlight, FleetPlan, VehiclePlan
 from missionplanner.replay import FleetReplay, VehicleReplay
-from missionplanner.report import charts, replays, style
+from missionplanner.report import charts, crew, replays, style
 from missionplanner.report.facts import Course, Facts, Sketch, VehicleFacts, collect, sketch_of
 from missionplanner.report.maps import detail_maps, fleet_map
 from missionplanner.report.rendering import Picture, Tile, picture, write_page
@@ -33,6 +33,7 @@ _REASONS_SHOWN = 20
 @dataclass(frozen=True, slots=True)
 class _VehicleRow:
     name: str
+    page: str  # of its own; empty: none is written
     colour: str
     kind: str
     length: str
@@ -67,10 +68,13 @@ class _ReplayRow:
     cells: tuple[str, ...]
 
 
-def write_report(folder: Path, scene: Scene, plan: FleetPlan, flight: FleetFlight | None = None) -> Path:
+def write_report(
+    folder: Path, scene: Scene, plan: FleetPlan, flight: FleetFlight | None = None, *, vehicle_pages: bool = False
+) -> Path:
     """Write ``report.html`` and ``pictures/*.png`` into ``folder`` and return the page's path.
 
-    The page is self-contained. The same plan and flight give the same bytes.
+    The page is self-contained. The same plan and flight give the same bytes. With ``vehicle_pages``, every vehicle gets
+    a page of its own beside it (see :mod:`.crew`), and the page links to them.
 
     Raises
     ------
@@ -78,6 +82,8 @@ def write_report(folder: Path, scene: Scene, plan: FleetPlan, flight: FleetFligh
         The folder cannot be written to.
     """
     facts = collect(scene, plan, flight)
+    if vehicle_pages:
+        crew.write_vehicle_pages(folder, facts)
     return write_page(
         folder / REPORT_NAME,
         REPORT_NAME,
@@ -93,7 +99,7 @@ def write_report(folder: Path, scene: Scene, plan: FleetPlan, flight: FleetFligh
         remarks=facts.remarks,
         tiles=tuple(_tiles(facts)),
         proof=section(plan.certificate, facts.findings, scene.frame),
-        vehicles=tuple(_vehicle_row(v) for v in facts.vehicles),
+        vehicles=tuple(_vehicle_row(v, vehicle_pages) for v in facts.vehicles),
         clearances=tuple(_clearance_rows(facts)),
         fleet=tuple(_fleet_rows(facts)),
         provenance=tuple(_provenance(facts)),
@@ -354,7 +360,7 @@ def _speeds(plan: VehiclePlan) -> str:
     return f"{high:.2f}" if low == high else f"{low:.2f} \N{EN DASH} {high:.2f}"
 
 
-def _vehicle_row(v: VehicleFacts) -> _VehicleRow:
+def _vehicle_row(v: VehicleFacts, has_page: bool) -> _VehicleRow:
     plan, flown = v.plan, v.flown
     flown_arrival = ""
     if flown is not None:
@@ -362,6 +368,7 @@ def _vehicle_row(v: VehicleFacts) -> _VehicleRow:
         flown_arrival = "never" if at is None else f"{at:.1f} ({at - plan.arrival_s:+.2f})"
     return _VehicleRow(
         name=v.name,
+        page=crew.page_name(v.name) if has_page else "",
         colour=style.vehicle_colour(v.index),
         kind=f"{'ArduPilot' if plan.autopilot == 'ardupilot' else 'PX4'} {plan.vehicle_class}, {plan.sysid}",
         length=f"{plan.length_m:,.0f}",

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import Geod
 
-from adapters.aiming import aim, headings_deg, turn_deg
+from adapters.aiming import aim, headings_deg, hold_s, turn_deg
 from missionplanner.geodesy import LocalFrame
 from missionplanner.plan import Action
 from tests.plans import vehicle_plan
@@ -54,3 +55,10 @@ def test_turns_are_the_shorter_way_and_lead_there(begin: float, end: float) -> N
 def test_a_vertical_leg_keeps_the_heading() -> None:
     points = ((0.0, 0.0, 1200.0), (0.0, 0.0, 1230.0), (100.0, 0.0, 1230.0), (100.0, 0.0, 1290.0))
     assert headings_deg(vehicle_plan(waypoints_m=points), FRAME) == pytest.approx([90.0] * 4, abs=0.01)
+
+
+def test_a_vehicle_stands_for_its_hold_and_its_waits_but_not_for_its_photos() -> None:
+    action = Action(hold_s=3.0, photos=2)
+    plan = replace(vehicle_plan(), actions={1: action}, hold_s=np.array([action.stand_s + 4.0, 5.0]))
+    assert action.stand_s > 3.0
+    assert [hold_s(plan, k) for k in range(3)] == [0.0, 7.0, 5.0]
