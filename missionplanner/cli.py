@@ -1203,14 +1203,14 @@ def parameters(
 
 @app.command()
 def report(folder: PlanFolder, as_json: AsJson = False) -> None:
-    """Write FOLDER/report.html: proof, maps, profiles, separation, arrival windows, and the flight if flown."""
+    """Write FOLDER/report.html (proof, maps, profiles, the flight if flown), and a page for each vehicle's crew."""
     from adapters.certificates import certify_plan
     from missionplanner.plan_folder import load_flight, load_plan
     from missionplanner.report import write_report
 
     scene, fleet_plan = load_plan(folder)
     fleet_plan = replace(fleet_plan, certificate=certify_plan(scene, fleet_plan))
-    path = write_report(folder, scene, fleet_plan, load_flight(folder, fleet_plan))
+    path = write_report(folder, scene, fleet_plan, load_flight(folder, fleet_plan), vehicle_pages=True)
     print_json({"report": str(path)}) if as_json else stdout.print(str(path), soft_wrap=True, highlight=False)
 
 
