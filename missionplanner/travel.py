@@ -40,9 +40,9 @@ _NEAREST_MIN = 16
 _SAME_PLACE_M = 0.5
 _CORNER_ROOM_M = 5.0
 _LEAST_S = 1e-6  # an edge of a graph is never free
-_SHORT_M, _LONG_M = 2.0, 400.0  # legs whose starts and stops are flown for the table of them
+_SHORT_M, _LONG_M, _LENGTHS = 2.0, 2000.0, 11  # legs whose starts and stops are flown for the table of them
 _SLOW_SHARES = (0.1, 0.25, 0.5, 0.75, 1.0)  # of the greatest speed
-_HELD_S = 1.0
+_HELD_S = 3.0  # long enough to come to rest
 _STAR_M, _STAR_POINTS = 400.0, 8
 
 # Columns of `_ways`
@@ -197,13 +197,14 @@ class _Flier:
             climb_share_m=0.0 if model is None else model.climb_share_m,
             drag_share_s=0.0 if model is None else model.drag_share_s,
             wind_max_m_s=self.wind_m_s,
-            wind_east_m_s=0.0 if self.wind_m_s > 0.0 else motion.wind_m_s[0],
-            wind_north_m_s=0.0 if self.wind_m_s > 0.0 else motion.wind_m_s[1],
+            wind_east_m_s=motion.wind_m_s[0],
+            wind_north_m_s=motion.wind_m_s[1],
+            airspeed_m_s=wind.airspeed_limit_m_s(motion),
         )
 
 
 def _speed_m_s(task: VehicleTask, top_m: FloatArray) -> float:
-    """Return the greatest speed at which a vehicle can fly whatever course; a whole mission is flown at one.
+    """Return the greatest speed that may be commanded on whatever course; a whole mission is flown at one.
 
     Raises
     ------
@@ -224,7 +225,7 @@ class _Ramps:
     """
 
     def __init__(self, flier: _Flier) -> None:
-        self._lengths_m = np.geomspace(_SHORT_M, _LONG_M, 9)
+        self._lengths_m = np.geomspace(_SHORT_M, _LONG_M, _LENGTHS)
         self._speeds_m_s = flier.speed_m_s * np.array(_SLOW_SHARES)
         self._extra_s = np.array(
             [[_ramp_s(flier, float(v), float(length)) for length in self._lengths_m] for v in self._speeds_m_s]
@@ -233,7 +234,7 @@ class _Ramps:
     def extra_s(self, length_m: FloatArray, cruise_s: FloatArray) -> FloatArray:
         """Return the extra times (...) of legs of lengths (...) flown evenly in times (...)."""
         speed = length_m / np.maximum(cruise_s, _LEAST_S)
-        column = np.interp(np.log(np.maximum(length_m, _SHORT_M)), np.log(self._lengths_m), np.arange(9.0))
+        column = np.interp(np.log(np.maximum(length_m, _SHORT_M)), np.log(self._lengths_m), np.arange(float(_LENGTHS)))
         row = np.interp(speed, self._speeds_m_s, np.arange(float(len(self._speeds_m_s))))
         i = np.minimum(row.astype(np.intp), len(self._speeds_m_s) - 2)
         j = np.minimum(column.astype(np.intp), len(self._lengths_m) - 2)
@@ -247,7 +248,7 @@ class _Ramps:
 
 def _ramp_s(flier: _Flier, speed_m_s: float, length_m: float) -> float:
     """Return how much longer than at an even speed a leg takes from one hold to the next."""
-    points = flier.top_m + np.outer(np.arange(1.0, 4.0) * length_m, [1.0, 0.0, 0.0])
+    points = flier.top_m + length_m * np.array([[1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [2.0, 1.0, 0.0]])
     _, reached_s = Navigator([flier.motion], flier.top_m[np.newaxis]).fly(Route.through(points, speed_m_s, _HELD_S))
     return max(0.0, float(reached_s[2] - reached_s[1]) - _HELD_S - length_m / speed_m_s)
 
@@ -272,6 +273,7 @@ class _Rules(NamedTuple):
     wind_max_m_s: float
     wind_east_m_s: float
     wind_north_m_s: float
+    airspeed_m_s: float  # at its lean limit
 
 
 @leaf
@@ -333,6 +335,18 @@ def _power(r: _Rules, east_m_s: float, north_m_s: float, rise_m_s: float, alt_m:
         + r.climb_share_m * max(rise_m_s, 0.0)
     )
     return share
+
+
+@leaf
+def _made_m_s(r: _Rules, east: float, north: float) -> float:
+    """Return the ground speed along a course (as :func:`.along_m_s`, and no more than commanded)."""
+    if r.wind_east_m_s == 0.0 and r.wind_north_m_s == 0.0:
+        return r.speed_m_s
+    tail = east * r.wind_east_m_s + north * r.wind_north_m_s
+    across = east * r.wind_north_m_s - north * r.wind_east_m_s
+    spare = r.airspeed_m_s * r.airspeed_m_s - across * across
+    made: float = min(r.speed_m_s, tail + math.sqrt(spare)) if spare > 0.0 else 0.0
+    return made
 
 
 @leaf
@@ -412,6 +426,10 @@ def _ways(space: SpaceArrays, r: _Rules, start: FloatArray, end: FloatArray) -> 
                 blocked = blocked or floor[k] > ground + r.height_max_m
         if blocked:
             continue
+        there_m_s = _made_m_s(r, ex / length, ey / length) if length > 0.0 else r.speed_m_s
+        back_m_s = _made_m_s(r, -ex / length, -ey / length) if length > 0.0 else r.speed_m_s
+        if min(there_m_s, back_m_s) <= 0.0:
+            continue
         # the string over the floor, from end to end
         count = 0
         for k in range(pieces + 1):
@@ -431,8 +449,8 @@ def _ways(space: SpaceArrays, r: _Rules, start: FloatArray, end: FloatArray) -> 
             high = floor[hull[c]]
             alt = max(low, high)
             rise = high - low
-            up_s = max(across / r.speed_m_s, rise / r.climb_m_s, -rise / r.descent_m_s)
-            down_s = max(across / r.speed_m_s, -rise / r.climb_m_s, rise / r.descent_m_s)
+            up_s = max(across / there_m_s, rise / r.climb_m_s, -rise / r.descent_m_s)
+            down_s = max(across / back_m_s, -rise / r.climb_m_s, rise / r.descent_m_s)
             there_s += up_s
             back_s += down_s
             if up_s > 0.0:
@@ -657,6 +675,9 @@ def _corners(scene: Scene, flier: _Flier) -> FloatArray:
             outline = shapely.Polygon(arrays.vertices[arrays.vertex_start[i] : arrays.vertex_start[i + 1]])
         elif wide and arrays.kind[i] == kernels.CYLINDER and not math.isfinite(top):
             outline = shapely.Point(arrays.params[i, :2]).buffer(arrays.params[i, 2] / math.cos(math.pi / 16), 4)
+        elif wide and arrays.kind[i] in (kernels.CABLE, kernels.CURTAIN) and _reaches_ceiling(scene, flier, i):
+            ends = arrays.params[i, :6].reshape(2, 3)[:, :2]
+            outline = shapely.LineString(ends).buffer(arrays.params[i, 6], cap_style="square")
         elif wide and arrays.kind[i] in (kernels.RADAR, kernels.MARINE):
             outline = shapely.Point(arrays.params[i, :2]).buffer(arrays.params[i, 3] / math.cos(math.pi / 16), 4)
         else:
@@ -670,6 +691,14 @@ def _corners(scene: Scene, flier: _Flier) -> FloatArray:
     known = np.isfinite(height)
     points: FloatArray = np.concatenate([xy, height[:, np.newaxis]], axis=1)[known]
     return points
+
+
+def _reaches_ceiling(scene: Scene, flier: _Flier, i: int) -> bool:
+    """Whether a cable cannot be flown over everywhere."""
+    x, y, z = scene.obstacles.arrays.params[i, :6].reshape(2, 3).T
+    over_m = z + scene.obstacles.arrays.params[i, 6] + flier.margins.obstacle_m
+    ceiling_m = scene.terrain.height_amsl_m(x, y) + flier.margins.height_agl_max_m
+    return not bool((over_m <= np.minimum(ceiling_m, flier.margins.alt_amsl_max_m)).all())
 
 
 # --- the way home
