@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Annotated
@@ -63,9 +62,8 @@ def import_maps(
     count = vehicles if vehicles is not None else len(homes) or 2
     if len(homes) > count:
         raise MissionError(f"--home: expected at most one for each of {count} vehicles, got {len(homes)}")
-    name = re.sub(r"[^\w.]+", "-", output.stem).strip("-.")[:40]
     wishes = Wishes(
-        name=name or "inspection",
+        name=output.stem,
         area_deg=None if area is None else _area(area),
         lines=tuple(line or ()),
         tower_height_m=tower_height,

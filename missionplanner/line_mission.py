@@ -10,8 +10,9 @@ import itertools
 import json
 import math
 import re
+import unicodedata
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -138,7 +139,7 @@ class _Importer:
         self._inside = [self._in_area(support.lat_lon_deg) for support in found.supports]
         self._chosen = self._choose()
         self._runs = [run for wire in self._chosen for run in self._runs_of(wire)]
-        self._inspected = list(dict.fromkeys(s for run in self._runs for s in run.supports))
+        self._inspected = dict.fromkeys(s for run in self._runs for s in run.supports)
         self._line_names = self._name_lines()
         self._tower_names = self._name_towers()
         self._frame = self._local_frame()
@@ -271,7 +272,7 @@ class _Importer:
         places = np.array(places_deg).reshape(-1, 2)
         return self._frame.to_local(places[:, 0], places[:, 1], 0.0)[:, :2]
 
-    def _places(self, supports: Sequence[int]) -> list[tuple[float, float]]:
+    def _places(self, supports: Iterable[int]) -> list[tuple[float, float]]:
         return [self._map.supports[s].lat_lon_deg for s in supports]
 
     def _classes(self) -> _Class:
@@ -323,7 +324,7 @@ class _Importer:
             kept = tuple(s for s in run.supports if not bare(s))
             if len(kept) > 1:
                 self._runs[k] = _Run(run.wire, kept)
-        self._inspected = list(dict.fromkeys(s for run in self._runs for s in run.supports))
+        self._inspected = dict.fromkeys(s for run in self._runs for s in run.supports)
 
     def _lies_there_swapped(self) -> bool:
         assert self._wishes.terrain is not None
@@ -409,7 +410,7 @@ class _Importer:
 
     def _top(self, s: int, wire: Wire) -> _Top:
         support = self._map.supports[s]
-        if s in self._tower_names:
+        if s in self._inspected:
             height_m, _ = self._tower_height(s)
         elif support.height_m is not None:
             height_m = support.height_m
@@ -704,6 +705,7 @@ class _Importer:
             notes.append(f"voltages of some lines are unknown: {self._of_line.safety_m:g} m are kept from conductors")
         if self._terrain is None:
             notes.append("no terrain: fill in terrain.file (or import with --terrain); nothing is proven without it")
+        notes = [_one_line(note) for note in notes]
         text = "\n".join(self._text(notes)) + "\n"
         return ImportedMission(
             text=text,
@@ -718,12 +720,13 @@ class _Importer:
 
     def _text(self, notes: Sequence[str]) -> Iterator[str]:
         wishes, of_line = self._wishes, self._of_line
-        yield f"# An inspection of {_count(len(self._runs), 'line')}, imported from {', '.join(self._sources)}."
+        sources = _one_line(", ".join(self._sources))
+        yield f"# An inspection of {_count(len(self._runs), 'line')}, imported from {sources}."
         if self._map.openstreetmap:
             yield "# Data (c) OpenStreetMap contributors, Open Database License 1.0: https://www.openstreetmap.org/copyright"
         yield "# What the map does not say was assumed. Check it before anybody flies; only then delete these lines:"
-        yield from (f"# - {_one_line(note)}" for note in notes)
-        yield f"name: {_flow(wishes.name)}"
+        yield from (f"# - {note}" for note in notes)
+        yield f"name: {_flow(_name(wishes.name) or 'inspection')}"
         yield f"origin: {_flow(_geo(self._frame.origin_lat_deg, self._frame.origin_lon_deg))}"
         corners = np.array([[self._area[0], self._area[1], 0.0], [self._area[2], self._area[3], 0.0]])
         lat_deg, lon_deg, _ = self._frame.to_geo(corners)
@@ -880,7 +883,14 @@ def _between(a: tuple[float, float], b: tuple[float, float], share: float) -> tu
 
 def _name(text: str) -> str:
     """Return a text as a name that mission files allow."""
-    return re.sub(r"[^\w.]+", "-", text).strip("-.")[:40].rstrip("-.")
+    letters = "".join(c if c == "." or _is_letter(c) else "-" for c in text)
+    return re.sub(r"-+", "-", letters).strip("-.")[:40].rstrip("-.")
+
+
+def _is_letter(character: str) -> bool:
+    """Return whether a character may be in a name: letters with their marks, digits, underscores of any script."""
+    category = unicodedata.category(character)
+    return category[0] in "LM" or category in {"Nd", "Pc"}
 
 
 def _unique(name: str, taken: Sequence[str] | set[str]) -> str:
@@ -903,7 +913,8 @@ def _geo(lat_deg: float, lon_deg: float) -> dict[str, float]:
 
 
 def _one_line(text: str) -> str:
-    return " ".join(text.split())
+    """Return a text as a comment may hold it: maps may call things anything."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
 
 
 def _flow(value: Any) -> str:
