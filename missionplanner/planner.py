@@ -59,7 +59,7 @@ _BENDS = (1, 2, 3, 4, 6, 8)
 _STARTS = 3
 _PROOFS = 4
 _MENDS, _MENDED_PIECES = 8, 16
-"""How often vehicles are planned again that cannot return, for every so many pieces of the longest way."""
+"""How often vehicles are planned again that cannot return; as often again for every so many pieces of their ways."""
 _ROOM_M = 1.0
 """How much further off a vehicle is planned again that was not proven, beyond what it lacked."""
 _GENTLER, _GENTLEST_RAD = 0.7, math.radians(2.0)
@@ -170,7 +170,9 @@ class _Team:
         self._generators = np.random.default_rng(seed if start == 0 else [seed, start]).spawn(len(scene.tasks))
         self._wider_m: list[dict[int, float]] = [{} for _ in scene.tasks]  # by piece of the way
         self._climb_rad = [task.limits.climb_angle_rad for task in scene.tasks]
-        self._mends = _MENDS * max([1, *(len(pieces_of(task)) // _MENDED_PIECES for task in scene.tasks)])
+        cuts = sum(len(pieces_of(task)) - 1 for task in scene.tasks)
+        self._mends = _MENDS * (1 + cuts // _MENDED_PIECES)
+        self._returning: set[tuple[PlannedPath, Schedule]] = set()  # who is known to return by itself
         self._overhead = _overhead(scene)
         self._avoided: list[list[Solid]] = [[] for _ in scene.tasks]
         self._detours: list[dict[int, FloatArray]] = [{} for _ in scene.tasks]
@@ -249,6 +251,8 @@ class _Team:
             plan = self._assembled(scene, schedules, arrival_s)
             conflict = proof.worst_conflict(scene, plan)
             if conflict is None:
+                if self._mended_alone(plan, schedules):
+                    continue
                 try:
                     returned = with_return_heights(scene, plan)
                 except UnreturnableError as error:
@@ -434,6 +438,27 @@ class _Team:
         required_m += max(_braking_m(self._scene.tasks[k]) for k in who)  # they brake, perhaps towards each other
         over = Conflict(first, second, (names[first], names[second]), 0.0, required_m, error.t_s)
         return self._part(over, plan, round_, tall=True)  # who climbs home must not be below another's way
+
+    def _mended_alone(self, plan: FleetPlan, schedules: Sequence[Schedule]) -> bool:
+        """Plan those again who cannot return even by themselves, of ways of many pieces; False where none was.
+
+        All in one round: each of their pieces may need it.
+        """
+        changed = False
+        for index, (vehicle, when) in enumerate(zip(plan.vehicles, schedules, strict=True)):
+            path = self._paths[index]
+            if not path.pieces or (path, when) in self._returning:
+                continue
+            flights = proof.predict(self._scene, [proof.planned_sortie(self._scene, vehicle)])
+            try:
+                return_heights_m(self._scene, flights)
+                self._returning.add((path, when))
+            except UnreturnableError as error:
+                self._mends -= 1
+                if self._mends >= 0 and error.t_s is not None and error.short_m > 0.0:
+                    again = _pieces_at(path, vehicle, error.t_s, error.t_s)
+                    changed |= self._roomier(index, error.short_m, again)
+        return changed
 
     def give_room(self, problems: Sequence[Finding]) -> bool:
         """Plan those again, further off, whose own way is not proven; False where that cannot help."""
