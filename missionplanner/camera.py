@@ -63,7 +63,7 @@ PRESETS: dict[str, CameraModel] = {
     key: CameraModel(*row)
     for key, row in {
         # focal length, the part of the sensor that photos use, pixels, least time between photos: from the data sheets
-        # of DJI, Sony and Phase One; the times of Sony cameras, which depend on the trigger, as QGroundControl has them
+        # of DJI, Sony and Phase One; the times of Sony cameras depend on how they are triggered
         "dji_p1_24mm": ("DJI Zenmuse P1, 24 mm", 24.0, 35.9, 24.0, 8192, 5460, 0.7),
         "dji_p1_35mm": ("DJI Zenmuse P1, 35 mm", 35.0, 35.9, 24.0, 8192, 5460, 0.7),
         "dji_p1_50mm": ("DJI Zenmuse P1, 50 mm", 50.0, 35.9, 24.0, 8192, 5460, 0.7),
@@ -71,7 +71,7 @@ PRESETS: dict[str, CameraModel] = {
         "dji_mavic3e_wide": ("DJI Mavic 3 Enterprise, wide", 12.29, 17.3, 13.0, 5280, 3956, 0.7),
         "dji_mavic3e_tele": ("DJI Mavic 3 Enterprise, tele", 29.9, 6.4, 4.8, 4000, 3000, 0.7),
         "dji_phantom4_rtk": ("DJI Phantom 4 RTK", 8.8, 13.2, 8.8, 5472, 3648, 2.5),
-        "sony_rx0m2": ("Sony RX0 II", 7.7, 11.55, 7.7, 4800, 3200, 1.0),
+        "sony_rx0m2": ("Sony RX0 II", 7.7, 11.55, 7.7, 4800, 3200, 0.5),
         "sony_rx1rm2": ("Sony RX1R II", 35.0, 35.9, 24.0, 7952, 5304, 1.0),
         "sony_a6000_35mm": ("Sony a6000, 35 mm", 35.0, 23.5, 15.6, 6000, 4000, 1.0),
         "sony_a7rm4_35mm": ("Sony a7R IV, 35 mm", 35.0, 35.7, 23.8, 9504, 6336, 1.0),

@@ -1,8 +1,8 @@
-"""From where towers are looked at: what an inspection asks for, as places that every vehicle may fly to.
+"""From where towers and spans are looked at: what an inspection asks for, as places that every vehicle may fly to.
 
 A view that is not clear as asked for is moved as little as may be: further out (up to twice as far), to the side (up to
-30 degrees), or up (at most 45 degrees above what it looks at). Where none of these is clear, the whole tower is left
-out, with the reason.
+30 degrees), or up (at most 45 degrees above what it looks at). A way along a span is moved out and up, and may begin
+and end later and earlier. Where none of these is clear, the whole tower or span is left out, with the reason.
 """
 
 from __future__ import annotations
@@ -18,11 +18,14 @@ import numpy.typing as npt
 
 from missionplanner import camera, mission
 from missionplanner.camera import CameraModel
-from missionplanner.clearance import Margins, tube_clearances
+from missionplanner.clearance import Margins, legs_clear, tube_clearances, tubes_clear
+from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
 from missionplanner.plan import Action
 from missionplanner.scene import Scene
+from missionplanner.spans import Span
 from missionplanner.terrain import Terrain
+from missionplanner.terrain_bounds import least_heights
 
 FURTHEST = 2.0
 """How many times as far off as asked for a view may be at most, in all."""
@@ -33,6 +36,8 @@ _SPARE_M = 0.25  # beyond what a proof asks for: places are rounded on their way
 _MOVED_M = 0.5  # from which on it is told
 _SIGHT_STEP_M = 5.0
 _SIGHT_SAMPLES = 1 << 20
+_SAG_SAMPLES = 65
+_QUARTER_TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # to the left, of rows
 _ORBIT_GAP_DEG = 120.0  # an orbit whose points leave more than this between them is none
 
 
@@ -90,23 +95,58 @@ class Sight:
     kind: Literal["overfly", "two_sides", "four_sides", "orbit"]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SpanSight:
+    """A side from which the conductors of a span are to be seen."""
+
+    name: str  # e.g. span T01-T02.left
+    span: Span
+    toward: FloatArray  # (3,) the level unit vector from the conductors to where they are seen from
+    lateral_m: float
+    vertical_m: float  # above the straight line from top to top
+
+    @property
+    def distance_m(self) -> float:
+        """How far from that line it is flown, as asked for."""
+        return math.hypot(self.lateral_m, self.vertical_m)
+
+
 def visits(scene: Scene) -> tuple[tuple[Visit, ...], tuple[LeftOut, ...]]:
-    """Return all visits that an open mission asks for, in the order of its towers, and what cannot be visited.
+    """Return all visits that an open mission asks for, of towers, then of spans, and what cannot be visited.
 
     Any vehicle may fly any visit: each keeps the widest margins of all.
 
     Raises
     ------
     MissionError
-        A camera that is not known.
+        A camera that is not known, or that takes photos too slowly for a vehicle's speed along a span.
     """
-    survey = _survey(scene)
-    return survey.visits, survey.left_out
+    towers, spans = _survey_towers(scene), _survey_spans(scene)
+    return (*towers.visits, *spans[0]), (*towers.left_out, *spans[1])
 
 
 def sights(scene: Scene) -> tuple[Sight, ...]:
     """Return the directions from which towers are to be seen, those of towers that are left out too."""
-    return _survey(scene).sights
+    return _survey_towers(scene).sights
+
+
+def span_sights(scene: Scene) -> tuple[SpanSight, ...]:
+    """Return the sides from which spans are to be seen, in the order of the spans."""
+    inspection = scene.mission.inspection
+    if inspection is None:
+        return ()
+    asked = {line.name: line.spans or inspection.spans for line in inspection.lines_or_one}
+    found = []
+    for span in scene.spans:
+        views = next((views for line in span.lines if (views := asked[line]) != "none"), None)
+        if views is None:
+            continue
+        begin, end = span.curve_m[0], span.curve_m[-1]
+        left = _level((end - begin)[:2]) @ _QUARTER_TURN
+        for side, toward in (("left", left), ("right", -left)):
+            if views.sides in (side, "both"):
+                found.append(SpanSight(f"{span.name}.{side}", span, toward, views.lateral_m, views.vertical_m))
+    return tuple(found)
 
 
 def in_sight(terrain: Terrain, from_m: FloatArray, to_m: FloatArray) -> npt.NDArray[np.bool_]:
@@ -125,6 +165,18 @@ def in_sight(terrain: Terrain, from_m: FloatArray, to_m: FloatArray) -> npt.NDAr
     return seen
 
 
+def sag_m(span: Span) -> float:
+    """Return how far a span's conductor hangs below the straight line from top to top, at most."""
+    share = np.linspace(0.0, 1.0, _SAG_SAMPLES)
+    curve_m, (first, last) = span.conductor.catenary.at(share), span.curve_m[[0, -1]]
+    return float((first[2] + share * (last[2] - first[2]) - curve_m[:, 2]).max())
+
+
+def beside_deg(lens: CameraModel | None) -> float:
+    """Return how far before or behind a vehicle beside a span its camera sees conductors, as an angle."""
+    return _TOLERANCE_DEG if lens is None else min(_TOLERANCE_DEG, 0.5 * lens.field_of_view_deg[0])
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Survey:
     visits: tuple[Visit, ...]
@@ -132,7 +184,7 @@ class _Survey:
     sights: tuple[Sight, ...]
 
 
-def _survey(scene: Scene) -> _Survey:
+def _survey_towers(scene: Scene) -> _Survey:
     found: list[Visit] = []
     left_out: list[LeftOut] = []
     wanted: list[Sight] = []
@@ -268,72 +320,88 @@ class _Room:
     def __init__(self, scene: Scene) -> None:
         limits = [task.limits for task in scene.tasks]
         margins = [Margins.of(limit) for limit in limits]
+        tube_m = max(limit.tube_m for limit in limits)
         self._scene = scene
-        self.tube_m = max(limit.tube_m for limit in limits)
+        self._widest = replace(
+            limits[0],
+            tracking_error_m=tube_m,
+            position_error_m=0.0,
+            deviation_m=0.0,
+            terrain_margin_m=max(limit.terrain_margin_m for limit in limits),
+            obstacle_margin_m=max(margin.obstacle_m for margin in margins) - tube_m,
+            height_agl_max_m=min(limit.height_agl_max_m for limit in limits),
+            alt_amsl_max_m=min(margin.alt_amsl_max_m for margin in margins) + tube_m,
+        )
         self.stray_m = max(limit.stray_m for limit in limits)
-        self.terrain_m = max(limit.terrain_margin_m for limit in limits)
-        self.height_agl_max_m = min(limit.height_agl_max_m for limit in limits)
-        self.alt_amsl_max_m = min(margin.alt_amsl_max_m for margin in margins)
-        self.obstacle_m = max(margin.obstacle_m for margin in margins)
-        self.fence_m = max(margin.fence_m for margin in margins)
 
-    def missing_m(self, legs: FloatArray) -> tuple[FloatArray, npt.NDArray[np.intp]]:
-        """Return how much legs (N, 2, 3) lack, (N, 5), and their nearest obstacles (N,).
+    def clear(self, legs: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return which legs (N, 2, 3) keep all margins, and a little more."""
+        return tubes_clear(self._scene.space, self._scene.terrain.bounds, self._widest, legs, _SPARE_M)
 
-        Of height above the ground, below the ceilings (above ground, AMSL), from obstacles and inside the fence; what
-        is clear lacks nothing, or less.
-        """
-        found = tube_clearances(self._scene.space, self._scene.terrain.bounds, legs, np.full(len(legs), self.tube_m))
-        lacks = [
-            self.terrain_m - found.height_min_m,
-            found.height_max_m - self.height_agl_max_m,
-            legs[:, :, 2].max(axis=1) - self.alt_amsl_max_m,
-            self.obstacle_m - self.tube_m - found.obstacle_m,
-            self.fence_m - self.tube_m - found.fence_m,
+    def clear_beside(self, legs: FloatArray) -> npt.NDArray[np.bool_]:
+        """Return which legs (N, 2, 3) keep all margins but those to the ground."""
+        margins = replace(Margins.of(self._widest, _SPARE_M), height_agl_min_m=-math.inf, height_agl_max_m=math.inf)
+        return legs_clear(self._scene.space, margins, legs, math.inf)
+
+    def raised(self, legs: FloatArray) -> FloatArray:
+        """Return legs (N, 2, 3) raised to where they are high enough above the ground, where that is known."""
+        reach_m, never = np.full(len(legs), self._widest.tube_m + _SPARE_M), np.full(len(legs), math.inf)
+        space, bounds = self._scene.space, self._scene.terrain.bounds
+        low_m = least_heights(space.terrain, bounds, np.ascontiguousarray(legs[:, [0, 1, 0]]), reach_m, 1.0, never)[
+            :, 0
         ]
-        return np.stack(lacks, axis=1) + _SPARE_M, found.obstacle
-
-    def raised(self, position_m: FloatArray) -> FloatArray:
-        """Return places (N, 3) raised to where they are high enough above the ground, where that is known."""
-        lacks_m = self.missing_m(as_legs(position_m))[0][:, 0]
-        lift_m = np.where(np.isfinite(lacks_m), np.maximum(lacks_m, 0.0), 0.0)
-        lifted: FloatArray = position_m + lift_m[:, np.newaxis] * [0.0, 0.0, 1.0]
+        lift_m = np.where(np.isfinite(low_m), np.maximum(self._widest.terrain_margin_m - low_m + 1e-6, 0.0), 0.0)
+        lifted: FloatArray = legs + lift_m[:, np.newaxis, np.newaxis] * [0.0, 0.0, 1.0]
         return lifted
 
-    def told(self, lacks_m: FloatArray, obstacle: int) -> str:
-        """Return what is the matter, and what to do, of a row of what :meth:`missing_m` returns."""
-        scene = self._scene
-        kind = int(np.argmax(lacks_m))
-        lack_m = float(lacks_m[kind])
-        if not math.isfinite(lack_m):
+    def problem(self, leg: FloatArray, higher: str, further: str) -> str | None:
+        """Return what a leg (2, 3) lacks most, and what to do; None: nothing.
+
+        ``higher`` and ``further`` say what brings it further from the ground, and from obstacles.
+        """
+        scene, limits = self._scene, self._widest
+        margins, tube_m = Margins.of(limits), limits.tube_m
+        found = tube_clearances(scene.space, scene.terrain.bounds, leg[np.newaxis], np.array([tube_m]))
+        height_m, height_max_m = float(found.height_min_m[0]), float(found.height_max_m[0])
+        apart_m, inside_m = float(found.obstacle_m[0]) + tube_m, float(found.fence_m[0]) + tube_m
+        top_m = float(leg[:, 2].max())
+        nowhere = ", and nowhere near it is clear"
+        if not math.isfinite(height_m):
             return "expected a place within the terrain, got none: give a terrain that covers it"
-        if kind == 0:
-            return (
-                f"expected at least {self.terrain_m:g} m above the ground for all of a tube of {self.tube_m:g} m, got "
-                f"{self.terrain_m - lack_m:.1f} m: lower views.below_top_m or safety.terrain_m"
-            )
-        if kind == 1:
-            got_m = self.height_agl_max_m + lack_m
-            return (
-                f"expected at most {self.height_agl_max_m:g} m above the ground, got {got_m:.1f} m: raise the ceiling"
-            )
-        if kind == 2:
-            got_m = self.alt_amsl_max_m + lack_m
-            return f"expected at most {self.alt_amsl_max_m:.1f} m AMSL, got {got_m:.1f} m: raise alt_amsl_max_m"
-        if kind == 3:
-            name = scene.obstacles.names[obstacle]
-            return (
-                f"expected at least {self.obstacle_m:.1f} m from {name} (safety.obstacle_m and the radius of the "
-                f"widest tube), got {self.obstacle_m - lack_m:.1f} m: raise views.distance_m, or choose other views"
-            )
         border = "fence" if scene.mission.fence is not None else "area"
-        return (
-            f"expected at least {self.fence_m:.1f} m inside the {border}, got {self.fence_m - lack_m:.1f} m: widen the "
-            f"{border}"
-        )
+        name = scene.obstacles.names[int(found.obstacle[0])] if math.isfinite(apart_m) else ""
+        lacks = [
+            (
+                limits.terrain_margin_m - height_m,
+                f"expected at least {limits.terrain_margin_m:g} m above the ground for all of a tube of {tube_m:g} m, "
+                f"got {height_m:.1f} m{nowhere}: {higher}, or lower safety.terrain_m",
+            ),
+            (
+                height_max_m - limits.height_agl_max_m,
+                f"expected at most {limits.height_agl_max_m:g} m above the ground for all of a tube of {tube_m:g} m, "
+                f"got {height_max_m:.1f} m{nowhere}: raise height_agl_max_m",
+            ),
+            (
+                top_m - margins.alt_amsl_max_m,
+                f"expected at most {margins.alt_amsl_max_m:.1f} m AMSL, got {top_m:.1f} m{nowhere}: raise "
+                "alt_amsl_max_m",
+            ),
+            (
+                margins.obstacle_m - apart_m,
+                f"expected at least {margins.obstacle_m:.1f} m from {name} (safety.obstacle_m and the radius of the "
+                f"widest tube), got {apart_m:.1f} m{nowhere}: {further}",
+            ),
+            (
+                margins.fence_m - inside_m,
+                f"expected at least {margins.fence_m:.1f} m inside the {border}, got {inside_m:.1f} m{nowhere}: widen "
+                f"the {border}",
+            ),
+        ]
+        lack_m, what = max(lacks)
+        return what if lack_m + _SPARE_M > 0.0 else None
 
 
-def as_legs(position_m: FloatArray) -> FloatArray:
+def _as_legs(position_m: FloatArray) -> FloatArray:
     """Return places (N, 3) as legs (N, 2, 3) without length."""
     return np.stack([position_m, position_m], axis=1)
 
@@ -362,15 +430,12 @@ def _place(scene: Scene, asked: Sequence[Sight]) -> list[_Place]:
         x, y, z = toward[index].T
         aim = np.stack([math.cos(turn) * x - math.sin(turn) * y, math.sin(turn) * x + math.cos(turn) * y, z], axis=1)
         offset = distance_m[index, np.newaxis] * (out * aim + [0.0, 0.0, up])
-        tried_m = room.raised(at[index] + offset)
+        tried_m = room.raised(_as_legs(at[index] + offset))[:, 0]
         good = _is_view(tried_m - at[index], above[index], furthest_m[index])
         index, tried_m = index[good], tried_m[good]
-        lacks_m, _ = room.missing_m(as_legs(tried_m))
-        good = (lacks_m.max(axis=1) <= 0.0) & in_sight(scene.terrain, tried_m, at[index])
+        good = room.clear(_as_legs(tried_m)) & in_sight(scene.terrain, tried_m, at[index])
         placed[index[good]] = tried_m[good]
 
-    lacks_m, obstacle = room.missing_m(as_legs(asked_m))
-    seen = in_sight(scene.terrain, asked_m, at)
     ground_m = scene.terrain.height_amsl_m(at[:, 0], at[:, 1])
     found = []
     for k, sight in enumerate(asked):
@@ -378,7 +443,7 @@ def _place(scene: Scene, asked: Sequence[Sight]) -> list[_Place]:
             problem = "expected views.below_top_m less than its height, got one that looks at the ground: lower it"
             found.append(_Place(None, f"{sight.name}: {problem}"))
         elif np.isnan(placed[k, 0]):
-            found.append(_Place(None, f"{sight.name}: {_problem(room, lens, sight, lacks_m[k], obstacle[k], seen[k])}"))
+            found.append(_Place(None, f"{sight.name}: {_problem(room, lens, sight, asked_m[k])}"))
         else:
             found.append(_Place(placed[k], moved_m=float(np.linalg.norm(placed[k] - asked_m[k]))))
     return found
@@ -398,25 +463,22 @@ def _is_view(offset_m: FloatArray, above: npt.NDArray[np.bool_], furthest_m: Flo
     return fit
 
 
-def _problem(
-    room: _Room, lens: CameraModel | None, sight: Sight, lacks_m: FloatArray, obstacle: int, seen: bool
-) -> str:
+def _problem(room: _Room, lens: CameraModel | None, sight: Sight, asked_m: FloatArray) -> str:
     """Return why a view is flown from nowhere, and what to do."""
-    if lens is not None and lens.gsd_mm(sight.distance_m + room.stray_m) > lens.gsd_max_mm:
-        worst_mm, sharp_m = lens.gsd_mm(sight.distance_m + room.stray_m), _sharp_m(lens) - room.stray_m
-        remedy = f"lower views.distance_m to {sharp_m:.1f} m" if sharp_m > 0.0 else "take a longer lens"
+    sharp_m = _sharp_m(lens) - room.stray_m
+    if lens is not None and sight.distance_m > sharp_m:
+        nearest_m = math.floor(10.0 * sharp_m) / 10.0
+        remedy = f"lower views.distance_m to {nearest_m:g} m" if nearest_m > 0.0 else "take a longer lens"
         return (
             f"expected a ground sampling distance of at most {lens.gsd_max_mm:g} mm (inspection.camera.gsd_max_mm), "
-            f"got {worst_mm:.2f} mm with {room.stray_m:g} m off: {remedy}, or raise gsd_max_mm"
+            f"got {lens.gsd_mm(sight.distance_m + room.stray_m):.2f} mm, {room.stray_m:g} m off included: {remedy}, or "
+            "raise gsd_max_mm"
         )
-    if (lacks_m > 0.0).any():
-        what, _, remedy = room.told(lacks_m, obstacle).rpartition(": ")
-        return f"{what}, and nowhere near it is clear: {remedy}"
-    if not seen:
-        return (
-            "expected the ground to leave a view of it, got a hill between, and nowhere near it is clear: leave it out"
-        )
-    return "expected a place that is clear, got none: choose other views"
+    further = "raise views.distance_m, or choose other views"
+    if sharp_m < FURTHEST * sight.distance_m:
+        further = f"raise camera.gsd_max_mm, which allows no more than {sharp_m:.1f} m, and views.distance_m"
+    lack = room.problem(np.stack([asked_m, asked_m]), "lower views.below_top_m", further)
+    return lack or "expected to see it from near where it is asked for, got a hill between: choose other views"
 
 
 # --- visits -----------------------------------------------------------------------------------------------------------
@@ -475,3 +537,199 @@ def _viewpoint(sight: Sight, place: _Place) -> Viewpoint:
         name=sight.name, inspects=sight.target, hold_s=sight.hold_s, look_at_m=(x, y, z), photos=sight.photos
     )
     return Viewpoint(place.position_m, action)
+
+
+# --- along spans ------------------------------------------------------------------------------------------------------
+
+
+_INSETS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of what a way may be shorter at either end
+_INSET_SHARE = 0.3  # of the span, at most; nor more than what is seen from its end, though it strays
+LOWEST_DEG = 55.0
+"""How steeply a way along a span looks down on the lowest of its conductor, at most."""
+_FULL_SHARE = 0.9  # of a photo's height: nothing is aimed at that well
+_SPACING_STEP_M = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Hung:
+    """A span as seen from one side: where its straight way from top to top runs, and how far below it hangs."""
+
+    begin_m: FloatArray  # (3,)
+    end_m: FloatArray
+    sag_m: float
+    radius_m: float
+
+
+def _survey_spans(scene: Scene) -> tuple[list[Visit], list[LeftOut]]:
+    """Return the visits along spans, and the spans that cannot be flown along on all sides asked for."""
+    asked = span_sights(scene)
+    inspection = scene.mission.inspection
+    if not asked or inspection is None:
+        return [], []
+    room, lens = _Room(scene), camera.of(inspection.camera)
+    hung = [sight.span for sight in asked]
+    conductors = [_Hung(s.curve_m[0], s.curve_m[-1], sag_m(s), s.conductor.radius_m) for s in hung]
+    if lens is not None:
+        _expect_time_for_photos(scene, asked, conductors, lens)
+    ways = _ways(room, lens, asked, conductors)
+    found: list[Visit] = []
+    left_out: list[LeftOut] = []
+    for target, of_target in itertools.groupby(enumerate(asked), key=lambda row: row[1].span.name):
+        sides = [k for k, _ in of_target]
+        lost = [k for k in sides if np.isnan(ways[k]).any()]
+        if lost:
+            sight, conductor = asked[lost[0]], conductors[lost[0]]
+            left_out.append(LeftOut(target, f"{sight.name}: {_way_problem(room, lens, sight, conductor)}"))
+        else:
+            found += [_way_visit(scene, lens, asked[k], conductors[k], ways[k]) for k in sides]
+    return found, left_out
+
+
+def _near_m(lateral_m: float, radius_m: float) -> float:
+    """Return from how near the nearest of a span's conductors is photographed."""
+    return max(lateral_m - radius_m, 0.0)
+
+
+def _expect_time_for_photos(
+    scene: Scene, asked: Sequence[SpanSight], conductors: Sequence[_Hung], lens: CameraModel
+) -> None:
+    near_m, name = min(
+        (_near_m(sight.lateral_m, conductor.radius_m), sight.name)
+        for sight, conductor in zip(asked, conductors, strict=True)
+    )
+    fast = max(scene.tasks, key=lambda task: task.limits.speed_max_m_s)
+    if fast.limits.speed_max_m_s > lens.speed_max_m_s(near_m):
+        raise MissionError(
+            f"{fast.name}.speed_m_s.max: expected at most {math.floor(10.0 * lens.speed_max_m_s(near_m)) / 10.0:g} m/s "
+            f"along {name}, where the nearest conductors are {near_m:g} m off: {lens.name} must take a photo every "
+            f"{lens.spacing_m(near_m):.1f} m, and takes {lens.interval_min_s:g} s for it, got "
+            f"{fast.limits.speed_max_m_s:g} m/s: lower it, raise spans.lateral_m, or lower camera.overlap_share"
+        )
+
+
+def _lines_of_sight_deg(rise_m: float, across_m: float, sag_m: float) -> tuple[float, float]:
+    """Return how far below level one looks at the straight line from top to top, and at the lowest conductor."""
+    return math.degrees(math.atan2(rise_m, across_m)), math.degrees(math.atan2(rise_m + sag_m, across_m))
+
+
+def _shows(room: _Room, lens: CameraModel | None, rise_m: float, across_m: float, sag_m: float) -> bool:
+    """Return whether a way so far beside and above a span shows all of the conductor, as finely as asked for."""
+    high_deg, low_deg = _lines_of_sight_deg(rise_m, across_m, sag_m)
+    if max(abs(high_deg), abs(low_deg)) > LOWEST_DEG:
+        return False
+    if lens is None:
+        return True
+    far_m = math.hypot(across_m, max(abs(rise_m), abs(rise_m + sag_m))) + room.stray_m
+    return lens.gsd_mm(far_m) <= lens.gsd_max_mm and low_deg - high_deg <= _FULL_SHARE * lens.field_of_view_deg[1]
+
+
+def _ways(room: _Room, lens: CameraModel | None, asked: Sequence[SpanSight], conductors: Sequence[_Hung]) -> FloatArray:
+    """Return the ways (N, 2, 3) along spans, as near to where they are asked for as all vehicles may be; NaN: none."""
+    ways = np.full((len(asked), 2, 3), np.nan)
+    begin, end = np.array([c.begin_m for c in conductors]), np.array([c.end_m for c in conductors])
+    toward = np.array([sight.toward for sight in asked])
+    lateral_m = np.array([sight.lateral_m for sight in asked])
+    vertical_m = np.array([sight.vertical_m for sight in asked])
+    distance_m = np.hypot(lateral_m, vertical_m)
+    along_m = np.hypot(*(end - begin)[:, :2].T)
+    inset_m = math.tan(math.radians(beside_deg(lens))) * lateral_m - room.stray_m
+    inset = np.clip(inset_m / along_m, 0.0, _INSET_SHARE)
+    for out, up, turn_deg in _MOVES:
+        index = np.flatnonzero(np.isnan(ways[:, 0, 0]))
+        if turn_deg != 0.0 or not len(index):
+            continue
+        offset = out * lateral_m[index, np.newaxis] * toward[index]
+        offset[:, 2] += vertical_m[index] + up * distance_m[index]
+        span = end[index] - begin[index]
+        ends = []
+        for begins in (True, False):
+            share = np.full(len(index), np.nan)
+            for part in _INSETS:
+                open_ = np.flatnonzero(np.isnan(share))
+                if not len(open_):
+                    break
+                tried = part * inset[index[open_]] if begins else 1.0 - part * inset[index[open_]]
+                place_m = begin[index[open_]] + tried[:, np.newaxis] * span[open_] + offset[open_]
+                clear = room.clear_beside(_as_legs(place_m))
+                share[open_[clear]] = tried[clear]
+            ends.append(begin[index] + share[:, np.newaxis] * span + offset)
+        legs = np.stack(ends, axis=1)
+        known = ~np.isnan(legs).any(axis=(1, 2))
+        index, legs = index[known], legs[known]
+        if not len(index):
+            continue
+        legs = room.raised(legs)
+        for k, leg, clear in zip(index.tolist(), legs, room.clear(legs).tolist(), strict=True):
+            across_m, rise_m = _beside(leg, conductors[k], toward[k])
+            near = math.hypot(across_m, rise_m) <= FURTHEST * distance_m[k] + 1e-9
+            if clear and near and _shows(room, lens, rise_m, across_m, conductors[k].sag_m):
+                ways[k] = leg
+    return ways
+
+
+def _beside(leg: FloatArray, conductor: _Hung, toward: FloatArray) -> tuple[float, float]:
+    """Return how far beside and above the straight line from top to top a way runs."""
+    span = conductor.end_m - conductor.begin_m
+    off = leg[0] - conductor.begin_m
+    share = float(off[:2] @ span[:2]) / float(span[:2] @ span[:2])
+    return float(off @ toward), float(off[2] - share * span[2])
+
+
+def _way_problem(room: _Room, lens: CameraModel | None, sight: SpanSight, conductor: _Hung) -> str:
+    """Return why no way along a span is clear, and what to do."""
+    offset = sight.lateral_m * sight.toward + [0.0, 0.0, sight.vertical_m]
+    if not _shows(room, lens, sight.vertical_m, sight.lateral_m, conductor.sag_m):
+        high_deg, low_deg = _lines_of_sight_deg(sight.vertical_m, sight.lateral_m, conductor.sag_m)
+        if max(abs(high_deg), abs(low_deg)) > LOWEST_DEG:
+            return (
+                f"expected to look at most {LOWEST_DEG:g} degrees down or up at conductors that sag by "
+                f"{conductor.sag_m:.1f} m, got {max(abs(high_deg), abs(low_deg)):.0f}: raise spans.lateral_m, or bring "
+                "spans.vertical_m nearer to 0"
+            )
+        assert lens is not None, "without a camera only steepness counts"
+        if low_deg - high_deg > _FULL_SHARE * lens.field_of_view_deg[1]:
+            return (
+                f"expected conductors that sag by {conductor.sag_m:.1f} m, {low_deg - high_deg:.0f} degrees, to fit "
+                f"into a photo, got {_FULL_SHARE * lens.field_of_view_deg[1]:.0f} degrees of {lens.name}: raise "
+                "spans.lateral_m, or take a shorter lens"
+            )
+        far_m = math.hypot(sight.lateral_m, sight.vertical_m + conductor.sag_m) + room.stray_m
+        return (
+            f"expected a ground sampling distance of at most {lens.gsd_max_mm:g} mm (inspection.camera.gsd_max_mm), "
+            f"got {lens.gsd_mm(far_m):.2f} mm from {far_m:.0f} m, sag and {room.stray_m:g} m off included: lower "
+            "spans.lateral_m, or raise gsd_max_mm"
+        )
+    leg = np.stack([conductor.begin_m + offset, conductor.end_m + offset])
+    lack = room.problem(leg, "raise spans.vertical_m", "raise spans.lateral_m")
+    return lack or "expected a way that is clear of everything, got none near the one asked for: choose another side"
+
+
+def _way_visit(scene: Scene, lens: CameraModel | None, sight: SpanSight, conductor: _Hung, leg: FloatArray) -> Visit:
+    across_m, rise_m = _beside(leg, conductor, sight.toward)
+    middle_m = leg.mean(axis=0)
+    heading_deg = scene.frame.heading_deg(middle_m, middle_m - across_m * sight.toward)
+    pitch_deg = -0.5 * sum(_lines_of_sight_deg(rise_m, across_m, conductor.sag_m))
+    every_m = 0.0
+    notes = []
+    if lens is None:
+        notes.append("no photos: inspection.camera is not given")
+    else:
+        spacing_m = lens.spacing_m(_near_m(across_m, conductor.radius_m))
+        every_m = max(round(math.floor(spacing_m / _SPACING_STEP_M) * _SPACING_STEP_M, 1), _SPACING_STEP_M)
+    moved_m = math.hypot(across_m - sight.lateral_m, rise_m - sight.vertical_m)
+    if moved_m > _MOVED_M:
+        notes.append(f"moved by {moved_m:.0f} m to where it is clear")
+    span_m = float(np.linalg.norm(conductor.end_m - conductor.begin_m))
+    short_m = span_m - float(np.linalg.norm(leg[1] - leg[0]))
+    if short_m > _MOVED_M:
+        notes.append(f"{short_m:.0f} m shorter than the span")
+    action = Action(inspects=sight.span.name, look_deg=(heading_deg, pitch_deg))
+    return Visit(
+        name=sight.name,
+        target=sight.span.name,
+        viewpoints=(
+            Viewpoint(leg[0], replace(action, name=f"{sight.name}-begin")),
+            Viewpoint(leg[1], replace(action, name=f"{sight.name}-end", photo_every_m=every_m)),
+        ),
+        note="; ".join(notes),
+    )

@@ -1,0 +1,438 @@
+"""What was seen: of every tower each side asked for, of every span its conductors, judged by where vehicles flew.
+
+A side of a tower was seen if a vehicle was near enough and within the angles that its view allows, with the ground
+below the line of sight, and stood still there about as long as asked for. A place of a span was seen from a side if a
+vehicle passed it so. Where a vehicle's log tells of the photos it took, what was not photographed was not seen. Nothing
+is assumed between two positions further apart in time than ``GAP_S``: what the log does not show was not seen.
+
+Without :class:`.Assignment` there are no views: a tower counts then when a vehicle passed its top within
+``inspection.range_m`` (as the proof counts plans).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from missionplanner import camera, views
+from missionplanner.camera import CameraModel
+from missionplanner.geodesy import FloatArray
+from missionplanner.plan import Trajectory
+from missionplanner.scene import Scene
+from missionplanner.spans import Span
+from missionplanner.terrain import Terrain
+from missionplanner.views import Sight, SpanSight
+
+GAP_S = 2.0
+"""Between positions further apart in time nothing is known."""
+SPAN_SHARE = 0.95
+"""The share of a span's length that is to be seen from a side: next to towers a little is hidden by them."""
+_STEP_S = 0.25
+_STEP_M = 1.0
+_STILL_M_S = 1.0
+_HOLD_SLACK_S = 1.0  # an autopilot counts a hold from where it is near, not from where it stands
+_ANGLE_SLACK_DEG = 10.0  # views are at most that high, and vehicles a little off them
+_PIECE_M = 5.0
+_UP = np.array([0.0, 0.0, 1.0])
+_SIGHTINGS = 3  # of a place of a span: whose line of sight is looked at, the nearest first
+
+
+@dataclass(frozen=True, slots=True)
+class SideSeen:
+    """One direction from which a tower was to be seen; figures are those of the best sighting, else of the nearest."""
+
+    target: str
+    name: str  # e.g. T01.left
+    toward: tuple[float, float, float]  # the direction in which it was to be seen from there; upwards: from above
+    seen: bool
+    distance_m: float | None  # from what is looked at; None: no vehicle was recorded
+    angle_deg: float | None  # between the direction asked for and the line of sight, as seen from above
+    elevation_deg: float | None  # of the vehicle as seen from there
+    t_s: float | None
+    vehicle: str
+    gsd_mm: float | None  # where the camera is known
+    photos: int | None  # that show it; None: no log tells
+    why: str = ""  # it was not seen
+
+
+@dataclass(frozen=True, slots=True)
+class SpanSeen:
+    """One side from which a span was to be seen."""
+
+    target: str
+    name: str  # e.g. span T01-T02.left
+    seen: bool
+    length_m: float
+    share: float  # of its length
+    distance_min_m: float | None  # of the places that were seen, each from its nearest sighting
+    distance_max_m: float | None
+    gsd_mm: float | None  # the coarsest
+    photos: int | None
+    vehicles: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coverage:
+    """What was seen of all that is asked for."""
+
+    towers: tuple[SideSeen, ...]
+    spans: tuple[SpanSeen, ...]
+    weight: Mapping[str, float]  # of the towers
+
+    @property
+    def done(self) -> frozenset[str]:
+        """The towers and spans that were seen from all sides asked for."""
+        rows: list[SideSeen | SpanSeen] = [*self.towers, *self.spans]
+        return frozenset(row.target for row in rows) - {row.target for row in rows if not row.seen}
+
+    @property
+    def share(self) -> float:
+        """The share of the towers' weight that was seen (PAPER.md eq. 6); of the spans' length, if there are none."""
+        done = self.done
+        parts = {row.target: self.weight[row.target] for row in self.towers}
+        if not parts:
+            parts = {row.target: row.length_m for row in self.spans}
+        whole = sum(parts.values())
+        return sum(part for target, part in parts.items() if target in done) / whole if whole > 0.0 else 1.0
+
+    @property
+    def spans_share(self) -> float | None:
+        """The share of the spans' length that was seen, each side asked for by itself; None: no spans."""
+        whole_m = sum(row.length_m for row in self.spans)
+        return sum(row.share * row.length_m for row in self.spans) / whole_m if self.spans else None
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """What was not seen and why, a line each."""
+        towers = [f"{row.name}: {row.why}" for row in self.towers if not row.seen]
+        spans = [f"{row.name}: {row.share:.0%} of {row.length_m:.0f} m seen" for row in self.spans if not row.seen]
+        return (*towers, *spans)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return {
+            "share": round(self.share, 4),
+            "spans_share": None if self.spans_share is None else round(self.spans_share, 4),
+            "done": sorted(self.done),
+            "missing": list(self.missing),
+            "towers": [_row_json(row) for row in self.towers],
+            "spans": [_row_json(row) for row in self.spans],
+        }
+
+
+def _row_json(row: SideSeen | SpanSeen) -> dict[str, Any]:
+    values = ((name, getattr(row, name)) for name in row.__slots__)
+    return {
+        name: round(value, 3) if isinstance(value, float) else list(value) if isinstance(value, tuple) else value
+        for name, value in values
+        if name != "toward"
+    }
+
+
+def measure(
+    scene: Scene,
+    tracks: Sequence[Trajectory],
+    *,
+    names: Sequence[str] = (),
+    photos: Sequence[Trajectory | None] = (),
+) -> Coverage:
+    """Return what flights have seen.
+
+    Parameters
+    ----------
+    scene : of the mission; of an open one, that without routes
+    tracks : recorded positions, one for each flight of a vehicle
+    names : whose, for each track
+    photos : when and where each track's vehicle took photos; None: its log does not tell
+
+    Raises
+    ------
+    MissionError
+        A camera that is not known.
+    """
+    lens = None if scene.mission.inspection is None else camera.of(scene.mission.inspection.camera)
+    flown = _Flown(tracks, names or [""] * len(tracks), photos or [None] * len(tracks))
+    towers = scene.towers
+    weight = {} if towers is None else dict(zip(towers.names, towers.weight.tolist(), strict=True))
+    if not scene.mission.is_open:
+        return Coverage(tuple(_passes(scene, flown, lens)), (), weight)
+    tube_m = max((task.limits.tube_m for task in scene.tasks), default=0.0)
+    sides = tuple(_side(scene.terrain, flown, sight, lens, tube_m) for sight in views.sights(scene))
+    evidence = _Evidence.of(flown, photographed=lens is not None)
+    spans = tuple(_span(scene.terrain, flown, evidence, sight, lens, tube_m) for sight in views.span_sights(scene))
+    return Coverage(sides, spans, weight)
+
+
+class _Flown:
+    """Where vehicles were, closely sampled between positions that are not far apart in time."""
+
+    def __init__(self, tracks: Sequence[Trajectory], names: Sequence[str], photos: Sequence[Trajectory | None]) -> None:
+        sampled = [_samples(track) for track in tracks]
+        track = [np.full(len(t_s), k) for k, (t_s, _, _) in enumerate(sampled)]
+        self.names = names
+        self.t_s = np.concatenate([np.zeros(0), *(t_s for t_s, _, _ in sampled)])
+        self.position_m = np.concatenate([np.zeros((0, 3)), *(at_m for _, at_m, _ in sampled)])
+        self.joined = np.concatenate([np.zeros(0, dtype=bool), *(joined for _, _, joined in sampled)])
+        self.track = np.concatenate([np.zeros(0, dtype=np.intp), *track])
+        self.still = np.concatenate([np.zeros(0, dtype=bool), *(_stands(*samples) for samples in sampled)])
+        self.tree = cKDTree(self.position_m)
+        known = [k for k, taken in enumerate(photos) if taken is not None]
+        self.told = np.isin(np.arange(len(tracks)), known)  # (tracks,) whether its log tells of photos
+        taken_m = [taken.position_m for taken in photos if taken is not None]
+        self.photo_m = np.concatenate([np.zeros((0, 3)), *taken_m])
+        self.photo_track = np.repeat(np.array(known, dtype=np.intp), [len(at_m) for at_m in taken_m])
+        self.photo_tree = cKDTree(self.photo_m)
+
+
+def _samples(track: Trajectory) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Return times (S,), positions (S, 3), and whether (S,) each follows on the one before it without a gap."""
+    if not len(track.t_s):
+        return np.zeros(0), np.zeros((0, 3)), np.zeros(0, dtype=np.bool_)
+    gap_s = np.diff(track.t_s)
+    way_m = np.linalg.norm(np.diff(track.position_m, axis=0), axis=1)
+    known = gap_s <= GAP_S
+    pieces = np.where(known, np.maximum(np.ceil(np.maximum(gap_s / _STEP_S, way_m / _STEP_M)), 1.0), 1.0).astype(int)
+    first = np.concatenate([[0], np.cumsum(pieces)])
+    place = np.interp(np.arange(first[-1] + 1), first, np.arange(len(track.t_s)))
+    t_s = np.interp(place, np.arange(len(track.t_s)), track.t_s)
+    joined = np.concatenate([[False], np.repeat(known, pieces)])
+    return t_s, track.at(t_s), joined
+
+
+def _stands(t_s: FloatArray, position_m: FloatArray, joined: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Return which samples (S,) begin or end a piece of the way at which the vehicle hardly moves."""
+    if not len(t_s):
+        return np.zeros(0, dtype=np.bool_)
+    way_m = np.linalg.norm(np.diff(position_m, axis=0), axis=1)
+    slow = joined[1:] & (way_m <= _STILL_M_S * np.diff(t_s))
+    stands: npt.NDArray[np.bool_] = np.concatenate([[False], slow]) | np.concatenate([slow, [False]])
+    return stands
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Aspect:
+    """How places are seen from what they look at."""
+
+    distance_m: FloatArray  # (N,)
+    angle_deg: FloatArray  # (N,) off the direction asked for, as seen from above; from above a tower: off the vertical
+    elevation_deg: FloatArray  # (N,)
+
+    @classmethod
+    def of(cls, offset_m: FloatArray, toward: FloatArray) -> _Aspect:
+        """Return it of places that far (N, 3) from what they look at."""
+        across_m = np.hypot(offset_m[:, 0], offset_m[:, 1])
+        elevation_deg = np.degrees(np.arctan2(offset_m[:, 2], across_m))
+        if toward[2] > 0.5:
+            angle_deg = 90.0 - elevation_deg
+        else:
+            along, beside = offset_m[:, :2] @ toward[:2], offset_m[:, :2] @ np.array([-toward[1], toward[0]])
+            angle_deg = np.degrees(np.abs(np.arctan2(beside, along)))
+        return cls(np.linalg.norm(offset_m, axis=1), angle_deg, elevation_deg)
+
+
+def _side(terrain: Terrain, flown: _Flown, sight: Sight, lens: CameraModel | None, tube_m: float) -> SideSeen:
+    """Return whether a tower was seen from one side, and from where best."""
+    reach_m = views.FURTHEST * sight.distance_m + tube_m
+    if lens is not None:
+        reach_m = min(reach_m, lens.distance_m(lens.gsd_max_mm))
+    level = sight.kind != "overfly"
+    steepest_deg = views.STEEPEST_DEG + _ANGLE_SLACK_DEG
+
+    def fitting(position_m: FloatArray) -> tuple[npt.NDArray[np.intp], _Aspect]:
+        """Return which places (N, 3) show that side, and how all do."""
+        aspect = _Aspect.of(position_m - sight.at_m, sight.toward)
+        fits = (aspect.angle_deg <= sight.tolerance_deg) & (aspect.distance_m <= reach_m)
+        if level:
+            fits &= np.abs(aspect.elevation_deg) <= steepest_deg
+        index = np.flatnonzero(fits)
+        return index[views.in_sight(terrain, position_m[index], np.tile(sight.at_m, (len(index), 1)))], aspect
+
+    near = np.sort(np.array(flown.tree.query_ball_point(sight.at_m, reach_m), dtype=np.intp))
+    fits, aspect = fitting(flown.position_m[near])
+    taken = np.array(flown.photo_tree.query_ball_point(sight.at_m, reach_m), dtype=np.intp)
+    taken = taken[fitting(flown.photo_m[taken])[0]]
+    photos = len(taken) if flown.told.any() else None
+    # a vehicle whose log tells of photos has seen what it has photographed
+    good = ~flown.told | np.isin(np.arange(len(flown.told)), flown.photo_track[taken]) | (sight.photos == 0)
+    stood = _stood(flown, near[fits], sight.hold_s)
+    best = [k for k, ok in zip(fits.tolist(), stood & good[flown.track[near[fits]]], strict=True) if ok]
+    why = ""
+    if not best:
+        why = _why_not(flown, near, fits, stood, reach_m, sight)
+    chosen = best or fits.tolist()
+    if chosen:
+        k = min(chosen, key=lambda k: aspect.angle_deg[k] + abs(aspect.elevation_deg[k]) * level)
+        sample = near[k]
+    elif len(flown.t_s):
+        sample = flown.tree.query(sight.at_m)[1]
+        aspect, k = _Aspect.of(flown.position_m[sample][np.newaxis] - sight.at_m, sight.toward), 0
+    else:
+        return _never(sight.target, sight.name, sight.toward, why)
+    distance_m = float(aspect.distance_m[k])
+    return SideSeen(
+        target=sight.target,
+        name=sight.name,
+        toward=_floats(sight.toward),
+        seen=bool(best),
+        distance_m=distance_m,
+        angle_deg=float(aspect.angle_deg[k]),
+        elevation_deg=float(aspect.elevation_deg[k]),
+        t_s=float(flown.t_s[sample]),
+        vehicle=flown.names[flown.track[sample]],
+        gsd_mm=None if lens is None else lens.gsd_mm(distance_m),
+        photos=photos,
+        why=why,
+    )
+
+
+def _never(target: str, name: str, toward: FloatArray, why: str) -> SideSeen:
+    """Return that nobody was recorded who could have seen it."""
+    return SideSeen(target, name, _floats(toward), False, None, None, None, None, "", None, None, why)
+
+
+def _floats(vector: FloatArray) -> tuple[float, float, float]:
+    x, y, z = vector.tolist()
+    return x, y, z
+
+
+def _stood(flown: _Flown, index: npt.NDArray[np.intp], hold_s: float) -> npt.NDArray[np.bool_]:
+    """Return which of samples (N,), in order, belong to a time of standing still about as long as asked for."""
+    if hold_s <= 0.0 or not len(index):
+        return np.ones(len(index), dtype=np.bool_)
+    still = flown.still[index]
+    follows = np.concatenate([[False], (np.diff(index) == 1) & flown.joined[index[1:]] & still[1:] & still[:-1]])
+    run = np.cumsum(~follows)  # which stay each sample belongs to
+    _, begins, run = np.unique(run, return_index=True, return_inverse=True)
+    ends = np.concatenate([begins[1:], [len(index)]]) - 1
+    lasts_s = flown.t_s[index[ends]] - flown.t_s[index[begins]]
+    enough: npt.NDArray[np.bool_] = still & (lasts_s[run] >= max(hold_s - _HOLD_SLACK_S, 0.0))
+    return enough
+
+
+def _why_not(
+    flown: _Flown,
+    near: npt.NDArray[np.intp],
+    fits: npt.NDArray[np.intp],
+    stood: npt.NDArray[np.bool_],
+    reach_m: float,
+    sight: Sight,
+) -> str:
+    if not len(flown.t_s):
+        return "no flight was recorded"
+    if not len(near):
+        nearest_m = float(flown.tree.query(sight.at_m)[0])
+        return f"expected a vehicle within {reach_m:.0f} m, got {nearest_m:.0f} m at the nearest"
+    if not len(fits):
+        return f"never within {sight.tolerance_deg:g} degrees of this side and in sight, {reach_m:.0f} m off or less"
+    if not stood.any():
+        return f"nobody stood still there for {sight.hold_s:g} s"
+    return "no photo was taken from there"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Evidence:
+    """From where spans may have been seen: where photos were taken; where vehicles flew that tell of none."""
+
+    position_m: FloatArray  # (E, 3)
+    track: npt.NDArray[np.intp]  # (E,)
+    photo: npt.NDArray[np.bool_]  # (E,)
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, flown: _Flown, *, photographed: bool) -> _Evidence:
+        """Return it; where no photos are asked for along spans, flying past is enough."""
+        untold = np.flatnonzero(~flown.told[flown.track]) if photographed else np.arange(len(flown.track))
+        flew = untold[::2]  # at most 2 m apart
+        taken = np.arange(len(flown.photo_m)) if photographed else np.zeros(0, dtype=np.intp)
+        position_m = np.concatenate([flown.position_m[flew], flown.photo_m[taken]])
+        track = np.concatenate([flown.track[flew], flown.photo_track[taken]])
+        photo = np.repeat([False, True], [len(flew), len(taken)])
+        return cls(position_m, track, photo, cKDTree(position_m))
+
+
+def _span(
+    terrain: Terrain, flown: _Flown, evidence: _Evidence, sight: SpanSight, lens: CameraModel | None, tube_m: float
+) -> SpanSeen:
+    """Return how much of a span was seen from one side."""
+    place_m, length_m = _pieces(sight.span)
+    whole_m = float(length_m.sum())
+    reach_m = views.FURTHEST * sight.distance_m + views.sag_m(sight.span) + tube_m
+    if lens is not None:
+        reach_m = min(reach_m, lens.distance_m(lens.gsd_max_mm))
+    near = evidence.tree.query_ball_point(place_m[len(place_m) // 2], reach_m + 0.5 * whole_m + _PIECE_M)
+    index = np.sort(np.array(near, dtype=np.intp))
+    # a conductor hangs in a plane: how far beside that, along it, and at which altitude
+    axis = np.array([[-sight.toward[1], sight.toward[0], 0.0], sight.toward, _UP])
+    away_m = (evidence.position_m[index] - place_m[0]) @ axis.T
+    on_side = (away_m[:, 1] > 0.0) & (away_m[:, 1] <= reach_m)
+    index, away_m = index[on_side], away_m[on_side]
+    along_m, beside_m, above_m = away_m.T
+    ahead_m = np.abs(along_m - ((place_m - place_m[0]) @ axis[0])[:, np.newaxis])
+    higher_m = np.abs(above_m - (place_m[:, 2] - place_m[0, 2])[:, np.newaxis])
+    distance_m = np.sqrt(beside_m**2 + ahead_m**2 + higher_m**2)
+    fits = (distance_m <= reach_m) & (ahead_m <= math.tan(math.radians(views.beside_deg(lens))) * beside_m)
+    fits &= higher_m <= math.tan(math.radians(views.LOWEST_DEG + _ANGLE_SLACK_DEG)) * np.hypot(beside_m, ahead_m)
+    distance_m = np.where(fits, distance_m, math.inf)
+    order = np.argsort(distance_m, axis=1, kind="stable")[:, :_SIGHTINGS]
+    place, rank = np.nonzero(np.isfinite(np.take_along_axis(distance_m, order, axis=1)))
+    by = order[place, rank]
+    visible = views.in_sight(terrain, evidence.position_m[index[by]], place_m[place])
+    place, first = np.unique(place[visible], return_index=True)  # nearer ones come first
+    by = by[visible][first]
+    seen_m = distance_m[place, by]
+    photos = np.unique(np.nonzero(np.isfinite(distance_m))[1])
+    return SpanSeen(
+        target=sight.span.name,
+        name=sight.name,
+        seen=float(length_m[place].sum()) >= SPAN_SHARE * whole_m,
+        length_m=whole_m,
+        share=float(length_m[place].sum()) / whole_m,
+        distance_min_m=float(seen_m.min()) if len(seen_m) else None,
+        distance_max_m=float(seen_m.max()) if len(seen_m) else None,
+        gsd_mm=None if lens is None or not len(seen_m) else lens.gsd_mm(float(seen_m.max())),
+        photos=int(evidence.photo[index[photos]].sum()) if flown.told.any() else None,
+        vehicles=tuple(sorted({flown.names[track] for track in evidence.track[index[by]].tolist()})),
+    )
+
+
+def _pieces(span: Span) -> tuple[FloatArray, FloatArray]:
+    """Return the middles (N, 3) and lengths (N,) of a conductor's pieces, each a few metres long."""
+    catenary = span.conductor.catenary
+    ends_m = catenary.at(np.linspace(0.0, 1.0, 1 + max(1, math.ceil(catenary.length_m / _PIECE_M))))
+    return 0.5 * (ends_m[:-1] + ends_m[1:]), np.linalg.norm(np.diff(ends_m, axis=0), axis=1)
+
+
+def _passes(scene: Scene, flown: _Flown, lens: CameraModel | None) -> Iterator[SideSeen]:
+    """Yield whether each tower was passed as near as a mission without views asks for."""
+    towers = scene.towers
+    if towers is None:
+        return
+    for name, top_m in zip(towers.names, towers.top_m, strict=True):
+        if not len(flown.t_s):
+            yield _never(name, name, _UP, "no flight was recorded")
+            continue
+        distance_m, sample = flown.tree.query(top_m)
+        elevation_deg = float(_Aspect.of((flown.position_m[sample] - top_m)[np.newaxis], _UP).elevation_deg[0])
+        seen = bool(distance_m <= towers.range_m)
+        yield SideSeen(
+            target=name,
+            name=name,
+            toward=_floats(_UP),
+            seen=seen,
+            distance_m=float(distance_m),
+            angle_deg=None,
+            elevation_deg=elevation_deg,
+            t_s=float(flown.t_s[sample]),
+            vehicle=flown.names[flown.track[sample]],
+            gsd_mm=None if lens is None else lens.gsd_mm(float(distance_m)),
+            photos=None,
+            why=""
+            if seen
+            else f"expected a vehicle within {towers.range_m:g} m, got {distance_m:.0f} m at the nearest",
+        )
