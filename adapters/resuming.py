@@ -111,6 +111,8 @@ def in_force(items: Sequence[MissionItem], at: int) -> tuple[MissionItem, ...]:
             key: tuple[object, ...] = ("speed", "level" if kind in (0, 1) else kind)
         elif item.command in _PER_NUMBER:
             key = (item.command, item.param1)
+        elif item.command == mavlink.MAV_CMD_IMAGE_START_CAPTURE and item.param3 >= 1.0:
+            continue  # so many photos, and no more
         elif item.command in _GROUPS:
             key = (_GROUPS[item.command], item.param1 if item.command in _VIDEO else None)
         else:

@@ -6,6 +6,7 @@ All of it is proven anew as one flight. The vehicle flies alone: nothing is prov
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,9 +15,9 @@ import numpy as np
 from missionplanner import planner, proof
 from missionplanner.errors import InfeasibleError, MissionError
 from missionplanner.geodesy import FloatArray
-from missionplanner.mission import Mission, Place, Point, Stop
+from missionplanner.mission import Direction, Mission, Place, Point, Stop
 from missionplanner.path_search import PlannedPath
-from missionplanner.plan import FleetPlan, VehiclePlan
+from missionplanner.plan import Action, FleetPlan, VehiclePlan
 from missionplanner.planner import Watch
 from missionplanner.scene import Scene, build_scene
 from missionplanner.vehicle import Ending
@@ -68,7 +69,8 @@ def resume(
         raise MissionError(f"{name}: expected a waypoint from 1 to {len(vehicle.waypoints_m) - 1}, got {waypoint}")
     rest_m = vehicle.waypoints_m[waypoint:]
     back = way_to(scene.mission, folder, name, vehicle.home_m, rest_m, vehicle.end, seed=seed, watch=watch)
-    whole = build_scene(_alone(scene.mission, name, vehicle.home_m, rest_m, vehicle.end), folder)
+    actions = _rest_of(vehicle, waypoint)
+    whole = build_scene(_alone(scene.mission, name, vehicle.home_m, rest_m, vehicle.end, actions), folder)
     begins = int(np.argmin(np.linalg.norm(vehicle.path_m - rest_m[0], axis=1)))
     path_m = np.vstack([back.path_m, vehicle.path_m[begins + 1 :]])
     path = PlannedPath(
@@ -82,7 +84,7 @@ def resume(
     )
     speeds_m_s = (*back.speeds_m_s.tolist(), *vehicle.speeds_m_s[waypoint:].tolist())
     ((as_fast,), _) = planner.schedule(whole, [path], [0.0])
-    when = replace(as_fast, speeds_m_s=speeds_m_s, hold_s=(0.0,) * len(speeds_m_s))
+    when = replace(as_fast, speeds_m_s=speeds_m_s)
 
     def assembled(scene: Scene) -> FleetPlan:
         made = planner.assemble(scene, [path], [when], None, plan.seed if seed is None else seed)
@@ -141,16 +143,63 @@ def way_to(
     )
 
 
-def _alone(question: Mission, name: str, home_m: FloatArray, places_m: FloatArray, end: Ending) -> Mission:
-    """Return the mission of one vehicle through places (P, 3), all else as it was; towers are obstacles only."""
+def _rest_of(vehicle: VehiclePlan, waypoint: int) -> dict[int, Action]:
+    """Return what is still to be done from a waypoint on, by waypoint after it.
+
+    Every waypoint becomes a stop: on the way to a place that has others between, the camera works from the first on. On
+    the way back to the first it does not take photos: it has taken them, or they belong to the leg before.
+    """
+    rest: dict[int, Action] = {}
+    for end in sorted(vehicle.actions):
+        begin = max((k for k in vehicle.actions if k < end), default=0)
+        action = vehicle.actions[end]
+        on_the_way = replace(action, name="", hold_s=0.0, photos=0)
+        for k in range(max(begin + 1, waypoint), end + 1):
+            done = action if k == end else on_the_way
+            rest[k - waypoint] = replace(done, photo_every_m=0.0) if k == waypoint else done
+    return rest
+
+
+def _stop(place_m: FloatArray, action: Action) -> Stop:
+    return Stop(
+        **_point(place_m),
+        name=action.name or None,
+        inspects=action.inspects or None,
+        hold_s=action.hold_s,
+        look_at=None if action.look_at_m is None else Point(**_point(action.look_at_m)),
+        look=None
+        if action.look_deg is None
+        else Direction(heading_deg=action.look_deg[0], pitch_deg=action.look_deg[1]),
+        photos=action.photos,
+        photo_every_m=action.photo_every_m or None,
+    )
+
+
+def _point(place_m: FloatArray | tuple[float, float, float]) -> dict[str, float]:
+    x, y, z = place_m
+    return {"x_m": float(x), "y_m": float(y), "alt_amsl_m": float(z)}
+
+
+def _alone(
+    question: Mission,
+    name: str,
+    home_m: FloatArray,
+    places_m: FloatArray,
+    end: Ending,
+    actions: Mapping[int, Action] | None = None,
+) -> Mission:
+    """Return the mission of one vehicle through places (P, 3), all else as it was; towers are obstacles only.
+
+    What is done at places is in ``actions``, by place.
+    """
     number, asked = next((i, v) for i, v in enumerate(question.vehicles, start=1) if v.name == name)
-    *stops, goal = [{"x_m": float(x), "y_m": float(y), "alt_amsl_m": float(z)} for x, y, z in places_m]
+    stops = tuple(_stop(place_m, (actions or {}).get(k, Action())) for k, place_m in enumerate(places_m[:-1]))
     changes = {
         "sysid": asked.sysid or number,
         "home": Place(x_m=float(home_m[0]), y_m=float(home_m[1])),
         "start": asked.start if asked.vehicle_class == "plane" else None,  # which says where it climbs to
-        "stops": tuple(Stop(**stop) for stop in stops),
-        "goal": Point(**goal),
+        "stops": stops,
+        "goal": Point(**_point(places_m[-1])),
         "inspects": None,
         "end": end,
     }
