@@ -14,6 +14,7 @@ import stat
 import tempfile
 import warnings
 import zipfile
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -151,7 +152,7 @@ class _Reader:
                     self.notes.append(f"{name}: archives within it were not read")
                 for member in maps:
                     self.read(member, f"{name}/{member.relative_to(folder).as_posix()}")
-        except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, EOFError, ValueError) as error:
+        except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError, ValueError) as error:
             raise MissionError(f"{name}: expected an archive that can be read, got a damaged one: {error}") from error
         except RuntimeError as error:  # as zipfile says it of passwords
             raise MissionError(f"{name}: expected an archive without password, got: {error}") from error

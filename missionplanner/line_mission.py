@@ -39,6 +39,7 @@ _HOME_PITCH_M = 40.0  # between homes: more than the fleet's separation and both
 _HOME_CLEAR_M = 45.0  # of a home from whatever stands around
 _HOME_SLOPES_DEG = (5.0, 12.0)  # looked for at first, and at all
 _HOME_AWAY_M = (60.0, 90.0, 120.0, 170.0, 230.0, 300.0)  # from the line
+_HOME_REACH_M = 20_000.0
 _DENSE_M = 250.0  # between supports that are made up below a line drawn without them
 _OBSTACLE_M = 10.0
 
@@ -286,6 +287,14 @@ class _Importer:
         )
 
     def _mission_area(self) -> Rectangle:
+        towers_m = self._xy(self._places(self._inspected))
+        for lat_deg, lon_deg in self._wishes.homes_deg:
+            away_m = float(np.linalg.norm(towers_m - self._xy([(lat_deg, lon_deg)]), axis=1).min())
+            if not away_m <= _HOME_REACH_M:
+                raise MissionError(
+                    f"--home {lat_deg:g},{lon_deg:g}: expected a place within {_HOME_REACH_M / 1000:g} km of a tower, "
+                    f"got one {away_m / 1000:.0f} km away: latitude comes first"
+                )
         xy_m = self._xy([*self._places(self._inspected), *self._wishes.homes_deg])
         west, south = (xy_m.min(axis=0) - _ROOM_M).tolist()
         east, north = (xy_m.max(axis=0) + _ROOM_M).tolist()
