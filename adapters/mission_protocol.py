@@ -640,6 +640,9 @@ _KEPT: dict[Autopilot, dict[int, tuple[str, ...]]] = {
         mavlink.MAV_CMD_DO_SET_ROI_NONE: (),
         mavlink.MAV_CMD_DO_SET_ROI: ("param1", *_PLACE),
         mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST: ("param1", "param3"),
+        mavlink.MAV_CMD_DO_DIGICAM_CONTROL: (*_PARAMS, "x", "y"),
+        mavlink.MAV_CMD_DO_MOUNT_CONTROL: ("param1", "param2", "param3"),
+        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: (*_PARAMS, "x", "z"),
         mavlink.MAV_CMD_IMAGE_START_CAPTURE: ("param1", "param2", "param3"),
         mavlink.MAV_CMD_IMAGE_STOP_CAPTURE: ("param1",),
     },
@@ -654,6 +657,10 @@ _KEPT: dict[Autopilot, dict[int, tuple[str, ...]]] = {
         **_GUARDS,
         mavlink.MAV_CMD_DO_JUMP: ("param1", "param2"),
         CHANGE_SPEED: ("param1", "param2", "param3"),
+        mavlink.MAV_CMD_DO_SET_ROI_LOCATION: _PLACE,
+        mavlink.MAV_CMD_DO_DIGICAM_CONTROL: (*_PARAMS, *_PLACE),
+        mavlink.MAV_CMD_DO_MOUNT_CONTROL: (*_PARAMS, *_PLACE),
+        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: (*_PARAMS, *_PLACE),
     },
 }
 _KEPT_BY_ARDUPLANE: dict[int, tuple[str, ...]] = {WAYPOINT: ("param2", "param3", *_PLACE)}
@@ -669,6 +676,9 @@ _INTEGER_PARAMS: dict[Autopilot, dict[int, tuple[str, ...]]] = {
         mavlink.MAV_CMD_NAV_LOITER_TO_ALT: ("param2",),
         mavlink.MAV_CMD_NAV_SPLINE_WAYPOINT: ("param1",),
         mavlink.MAV_CMD_NAV_RALLY_POINT: ("z",),
+        mavlink.MAV_CMD_DO_DIGICAM_CONTROL: _PARAMS,
+        mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _PARAMS,
+        mavlink.MAV_CMD_IMAGE_START_CAPTURE: ("param1", "param3"),
     },
     "px4": {},
 }

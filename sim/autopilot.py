@@ -88,6 +88,63 @@ class Completed:
     seq: int
 
 
+@dataclass(frozen=True, slots=True)
+class Photographed:
+    """A photo that was taken, the how manieth since power-up."""
+
+    number: int  # from 1
+
+
+class _Camera:
+    """What a mission makes of the camera: it has no effect on the flight.
+
+    Photos every so many metres over ground since the last one (:meth:`trigger`), so many at an interval, or one.
+    """
+
+    def __init__(self) -> None:
+        self.taken = 0
+        self.off = False  # while PX4 is not in its mission
+        self._every_m = 0.0
+        self._last_m: FloatArray | None = None
+        self._left = 0.0
+        self._interval_s = 0.0
+        self._next_s = math.inf
+
+    def trigger(self, every_m: float) -> None:
+        """Take a photo every so many metres; 0: no more."""
+        self._every_m = _not_negative(every_m)
+
+    def start(self, count: float, interval_s: float, now_s: float) -> None:
+        """Take so many photos (0: until stopped, if at an interval, else one), the first at once."""
+        self._interval_s = _not_negative(interval_s)
+        self._left = count if count >= 1.0 else (math.inf if self._interval_s > 0.0 else 1.0)
+        self._next_s = now_s
+
+    def stop(self) -> None:
+        """Take no more photos at an interval."""
+        self._next_s = math.inf
+
+    @property
+    def wake_s(self) -> float:
+        """When :meth:`due` is to be asked."""
+        if self.off:
+            return math.inf
+        return -math.inf if self._every_m > 0.0 else self._next_s
+
+    def due(self, position_m: FloatArray, now_s: float) -> bool:
+        """Whether a photo is taken now; then it counts as taken."""
+        far = self._last_m is None or math.dist(position_m[:2], self._last_m[:2]) >= self._every_m
+        timed = now_s >= self._next_s
+        if not timed and not (self._every_m > 0.0 and far):
+            return False
+        if timed:
+            self._left -= 1.0
+            self._next_s = self._next_s + self._interval_s if self._left >= 1.0 else math.inf
+        self.taken += 1
+        self._last_m = position_m
+        return True
+
+
 class Autopilot:
     """The flight logic of vehicle ``index`` of ``navigator``.
 
@@ -118,7 +175,8 @@ class Autopilot:
         self.current = 0
         self.mission_state = MissionState.NO_MISSION
         self._airborne_s = 0.0
-        self.events: list[Said | Completed] = []
+        self.events: list[Said | Completed | Photographed] = []
+        self._camera = _Camera()
         self.ready_s = personality.cold_start_s if cold_start else 0.0
         self._motion = motion
         self._taken_up = dict(parameters)
@@ -182,7 +240,8 @@ class Autopilot:
     @property
     def wake_s(self) -> float:
         """When :meth:`update` is due even if the vehicle has reached nothing."""
-        return min(self._wait_until_s, self._disarm_at_s)
+        camera_s = self._camera.wake_s if self.armed and not self.landed else math.inf
+        return min(self._wait_until_s, self._disarm_at_s, camera_s)
 
     @property
     def target_m(self) -> FloatArray | None:
@@ -352,6 +411,7 @@ class Autopilot:
         self.home_m = self.position_m
         self.current = 0
         self._jumps.clear()
+        self._camera = _Camera()
         has_mission = len(self.mission) > self._first
         self.mission_state = MissionState.NOT_STARTED if has_mission else MissionState.NO_MISSION
         self._speed_m_s, self._climb_m_s, self._descent_m_s = self.default_speed_m_s, math.inf, math.inf
@@ -394,6 +454,9 @@ class Autopilot:
         stage = self._stage
         if stage is not None and not self.paused:
             self._note_progress(stage, now_s)
+        flies = self.armed and not self.landed
+        while flies and now_s >= self._camera.wake_s and self._camera.due(self.position_m, now_s):
+            self.events.append(Photographed(self._camera.taken))
         if now_s >= self._disarm_at_s:
             self.disarm(now_s)
 
@@ -491,8 +554,9 @@ class Autopilot:
     def _leave_mission(self) -> None:
         if self.mission_state is MissionState.ACTIVE:
             self.mission_state = MissionState.PAUSED
-        if self.personality.speed_resets:  # PX4 forgets the mission's speed when it leaves the mission
+        if self.personality.speed_resets:  # PX4 forgets the mission's speed when it leaves it, and pauses its camera
             self._speed_m_s = self.default_speed_m_s
+            self._camera.off = True
 
     def _enter(self, mode: Mode, now_s: float) -> None:
         """Do what the mode asks for, now that it is the mode (and again once armed)."""
@@ -573,6 +637,7 @@ class Autopilot:
     def _begin_mission(self, now_s: float) -> None:
         self._drop_stages()
         self.mission_state = MissionState.ACTIVE
+        self._camera.off = False
         self._begin_item(max(self.current, self._first), now_s)
         self._next_stage(now_s)
 
@@ -593,18 +658,28 @@ class Autopilot:
                     self._jumps[seq] = done + 1
                     seq = target
                     continue
-            self._act(item)
+            self._act(item, now_s)
             self.events.append(Completed(seq))
             seq += 1
         self.mission_state = MissionState.COMPLETE
         self._jumps.clear()
 
-    def _act(self, item: MissionItem) -> None:
+    def _act(self, item: MissionItem, now_s: float) -> None:
         match item.command:
             case mavlink.MAV_CMD_DO_CHANGE_SPEED:
                 self._note_speed(item.param1, item.param2)
             case mavlink.MAV_CMD_DO_SET_HOME:
                 self.set_home(self.position_m if item.param1 == 1 else self._place(item))
+            case mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST:
+                self._camera.trigger(item.param1)
+                if item.param3 == 1.0:
+                    self._camera.start(1.0, 0.0, now_s)
+            case mavlink.MAV_CMD_IMAGE_START_CAPTURE:
+                self._camera.start(item.param3, item.param2, now_s)
+            case mavlink.MAV_CMD_DO_DIGICAM_CONTROL if item.x == 1:
+                self._camera.start(1.0, 0.0, now_s)
+            case mavlink.MAV_CMD_IMAGE_STOP_CAPTURE:
+                self._camera.stop()
 
     def _complete(self, seq: int, now_s: float) -> None:
         self.events.append(Completed(seq))

@@ -286,8 +286,7 @@ def _stored_by_ardupilot(item: MissionItem) -> MissionItem:
     if item.command == mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH:  # nothing of it is stored
         return MissionItem(item.seq, mavlink.MAV_FRAME_GLOBAL, item.command, current=item.current)
     if item.command not in _POSITIONED:
-        kept = item if item.command not in (mavlink.MAV_CMD_DO_CHANGE_SPEED,) else replace(item, param4=0.0)
-        return replace(kept, frame=mavlink.MAV_FRAME_GLOBAL, x=0, y=0, z=0.0)
+        return _without_place(item)
     frame = {
         mavlink.MAV_FRAME_MISSION: mavlink.MAV_FRAME_GLOBAL,
         mavlink.MAV_FRAME_GLOBAL_INT: mavlink.MAV_FRAME_GLOBAL,
@@ -306,6 +305,27 @@ def _stored_by_ardupilot(item: MissionItem) -> MissionItem:
             return replace(item, param1=_whole(item.param1), param2=0.0, param3=0.0, param4=0.0)
         case _:
             return item
+
+
+def _without_place(item: MissionItem) -> MissionItem:
+    """Return what ArduPilot keeps of an item that is nowhere; some have numbers where others have their place."""
+    p1, p2, p3, p4 = item.param1, item.param2, item.param3, item.param4
+    x, y, z = 0, 0, 0.0
+    match item.command:
+        case mavlink.MAV_CMD_DO_CHANGE_SPEED | mavlink.MAV_CMD_DO_MOUNT_CONTROL:
+            p4 = 0.0
+        case mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST:
+            p2, p3, p4 = 0.0, float(int(p3) % 256), 0.0
+        case mavlink.MAV_CMD_IMAGE_START_CAPTURE:
+            p1, p3, p4 = float(int(p1) % 256), _whole(p3), _whole(p4)
+        case mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW:  # whole degrees
+            p1, p2, p3, p4 = (float(int(p)) for p in (p1, p2, p3, p4))
+            x, z = item.x % 256, float(int(item.z) % 256)
+        case mavlink.MAV_CMD_DO_DIGICAM_CONTROL:
+            p1, p2, p3, p4 = (float(int(p) % 256) for p in (p1, p2, p3, p4))
+            x, y = item.x % 256, item.y % 256
+    frame = int(mavlink.MAV_FRAME_GLOBAL)
+    return replace(item, frame=frame, param1=p1, param2=p2, param3=p3, param4=p4, x=x, y=y, z=z)
 
 
 def _stored_by_arduplane(item: MissionItem) -> MissionItem:

@@ -214,6 +214,23 @@ class Telemetry:
         """Return the time since the vehicle booted."""
         return now_s - self._boot_s
 
+    def photo(self, number: int, now_s: float) -> Any:
+        """Return what the vehicle tells of a photo just taken, its number counted from 1."""
+        motion, up_s = self._motion(), self.up_s(now_s)
+        x, y = round(motion.lat_deg * 1e7), round(motion.lon_deg * 1e7)
+        alt_m = float(motion.position_m[2])
+        home_m = alt_m - float(self._autopilot.home_m[2])
+        if self._autopilot.personality.autopilot == "ardupilot":
+            nose_deg = math.degrees(motion.nose_rad)
+            return mavlink.MAVLink_camera_feedback_message(
+                round(up_s * 1e6), 0, 0, number, x, y, alt_m, home_m, 0.0, 0.0, nose_deg, 0.0,
+                mavlink.CAMERA_FEEDBACK_PHOTO, number,
+            )  # fmt: skip
+        level = (1.0, 0.0, 0.0, 0.0)
+        return mavlink.MAVLink_camera_image_captured_message(
+            round(up_s * 1e3), 0, 0, x, y, round(alt_m * 1e3), round(home_m * 1e3), level, number - 1, 1, b""
+        )
+
     def build(self, message_id: int, now_s: float) -> Any | None:
         """Return one message by its id; None where the vehicle has no such message."""
         message = self._messages.get(message_id)

@@ -19,7 +19,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from adapters.mission_items import MissionItem, degrees_to_wire
 from missionplanner.geodesy import FloatArray, LocalFrame
-from sim.autopilot import Autopilot, Completed, Said
+from sim.autopilot import Autopilot, Completed, Photographed, Said
 from sim.file_service import FileService, parameter_file
 from sim.mission_service import Link, MissionService, Outgoing
 from sim.personality import Behaviour
@@ -170,6 +170,8 @@ class VehicleLink:
                         self._reached.clear()
                     self._reached.append(seq)
                     self._last_reached, self._reached_again = seq, 0
+                case Photographed(number):
+                    out.append((None, self.telemetry.photo(number, now_s)))
         self.autopilot.events.clear()
         for text in self._texts:
             out.append((None, mavlink.MAVLink_statustext_message(text.severity, text.text[:_TEXT_MAX].encode())))
