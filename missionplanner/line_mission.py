@@ -45,28 +45,29 @@ _OBSTACLE_M = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class _Class:
-    """What is assumed of lines up to a voltage."""
+class Assumed:
+    """What is assumed of a line where nobody says it: docs/IMPORT.md."""
 
-    up_to_kv: float
-    height_m: float
-    half_width_m: float
-    safety_m: float
+    height_m: float  # of its towers
+    half_width_m: float  # of its conductors, from side to side
+    safety_m: float  # to be kept from them
 
 
-# Heights and widths are ours, at the upper end of what is usual; distances: DIN VDE 0105-100 table 103 up to 380 kV (as
-# DGUV rules quote it), above that 29 CFR 1926.1408 table A: docs/IMPORT.md
-_CLASSES = (
-    _Class(1.0, 12.0, 3.0, 1.0),
-    _Class(45.0, 16.0, 4.0, 3.0),
-    _Class(123.0, 35.0, 8.0, 3.0),
-    _Class(245.0, 45.0, 12.0, 4.0),
-    _Class(420.0, 60.0, 16.0, 5.0),
-    _Class(765.0, 75.0, 22.0, 11.0),
-    _Class(math.inf, 100.0, 30.0, 14.0),
+# up to so many kV: height, half width: ours, at the upper end of what is usual
+_SIZES_M = (
+    (1.0, 12.0, 3.0),
+    (45.0, 16.0, 4.0),
+    (123.0, 35.0, 8.0),
+    (245.0, 45.0, 12.0),
+    (420.0, 60.0, 16.0),
+    (765.0, 75.0, 22.0),
+    (math.inf, 100.0, 30.0),
 )
-_UNKNOWN = _Class(math.nan, 35.0, 8.0, 5.0)
-_MINOR = _Class(math.nan, 16.0, 4.0, 5.0)
+# up to so many kV: to 380 (and so 400) DIN VDE 0105-100 table 103, then 29 CFR 1926.1408 table A, rounded up; beyond: ours
+_DISTANCES_M = ((1.0, 1.0), (110.0, 3.0), (220.0, 4.0), (420.0, 5.0), (500.0, 8.0), (750.0, 11.0), (1000.0, 14.0))
+_LARGEST_DISTANCE_M = 20.0
+_UNKNOWN = Assumed(35.0, 8.0, 5.0)
+_MINOR = Assumed(16.0, 4.0, 5.0)
 _ROPEWAY_HEIGHT_M = {
     **dict.fromkeys(("cable_car",), 60.0),
     **dict.fromkeys(("gondola", "mixed_lift", "goods", "zip_line"), 40.0),
@@ -116,11 +117,13 @@ def imported_mission(found: LineMap, wishes: Wishes, sources: Sequence[str], not
     return _Importer(found, wishes, sources, notes).mission()
 
 
-def class_of(voltage_kv: float | None, *, minor: bool = False) -> _Class:
+def assumed_of(voltage_kv: float | None, *, minor: bool = False) -> Assumed:
     """Return what is assumed of a line of this voltage."""
     if voltage_kv is None:
         return _MINOR if minor else _UNKNOWN
-    return next(c for c in _CLASSES if voltage_kv <= c.up_to_kv)
+    height_m, half_width_m = next(sizes for up_to_kv, *sizes in _SIZES_M if voltage_kv <= up_to_kv)
+    safety_m = next((far_m for up_to_kv, far_m in _DISTANCES_M if voltage_kv <= up_to_kv), _LARGEST_DISTANCE_M)
+    return Assumed(height_m, half_width_m, safety_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +147,7 @@ class _Importer:
         self._line_names = self._name_lines()
         self._tower_names = self._name_towers()
         self._frame = self._local_frame()
-        self._of_line = self._classes()
+        self._of_line = self._greatest()
         self._area = self._mission_area()
         self._terrain = self._read_terrain()
         self._obstacles, self._obstacle_comments = self._all_obstacles()
@@ -276,14 +279,13 @@ class _Importer:
     def _places(self, supports: Iterable[int]) -> list[tuple[float, float]]:
         return [self._map.supports[s].lat_lon_deg for s in supports]
 
-    def _classes(self) -> _Class:
+    def _greatest(self) -> Assumed:
         """Return what is assumed of the inspected lines together: the greatest of each."""
-        classes = [class_of(run.wire.voltage_kv, minor=run.wire.minor) for run in self._runs]
-        return _Class(
-            math.nan,
-            max(c.height_m for c in classes),
-            max(c.half_width_m for c in classes),
-            max(c.safety_m for c in classes),
+        all_ = [assumed_of(run.wire.voltage_kv, minor=run.wire.minor) for run in self._runs]
+        return Assumed(
+            max(c.height_m for c in all_),
+            max(c.half_width_m for c in all_),
+            max(c.safety_m for c in all_),
         )
 
     def _mission_area(self) -> Rectangle:
@@ -426,7 +428,7 @@ class _Importer:
         elif wire.aerialway:
             height_m = _ROPEWAY_HEIGHT_M.get(wire.aerialway, _OTHER_ROPEWAY_M)
         else:
-            height_m = class_of(wire.voltage_kv, minor=wire.minor).height_m
+            height_m = assumed_of(wire.voltage_kv, minor=wire.minor).height_m
         assumed = (
             *(() if support.height_m is not None else ("height_agl_m",)),
             *(() if support.tagged else ("place",)),
@@ -510,7 +512,7 @@ class _Importer:
         return bool(enter <= leave)
 
     def _overhead_line(self, name: str, wire: Wire, chain: Sequence[_Top]) -> mission.OverheadLine:
-        half_m = 5.0 if wire.aerialway else class_of(wire.voltage_kv, minor=wire.minor).half_width_m
+        half_m = 5.0 if wire.aerialway else assumed_of(wire.voltage_kv, minor=wire.minor).half_width_m
         return mission.OverheadLine(
             kind="line",
             name=name,
@@ -524,7 +526,7 @@ class _Importer:
 
     def _lone_tower(self, support: Support, taken: set[str]) -> mission.Cylinder:
         minor = support.what == "pole"
-        height_m = support.height_m or class_of(support.voltage_kv, minor=minor).height_m
+        height_m = support.height_m or assumed_of(support.voltage_kv, minor=minor).height_m
         if support.what == "pylon":
             height_m = support.height_m or _OTHER_ROPEWAY_M
         name = _unique(_name(support.label)[:28] or support.what or "tower", taken)
@@ -686,7 +688,7 @@ class _Importer:
         if self._wishes.tower_height_m is not None:
             return self._wishes.tower_height_m, True
         wires = [run.wire for run in self._runs if s in run.supports]
-        return max(class_of(wire.voltage_kv, minor=wire.minor).height_m for wire in wires), True
+        return max(assumed_of(wire.voltage_kv, minor=wire.minor).height_m for wire in wires), True
 
     def mission(self) -> ImportedMission:
         """Return the file."""

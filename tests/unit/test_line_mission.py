@@ -17,7 +17,7 @@ from rasterio.transform import Affine
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import LocalFrame
 from missionplanner.line_map import read_line_map
-from missionplanner.line_mission import NO_TERRAIN, ImportedMission, Wishes, class_of, imported_mission
+from missionplanner.line_mission import NO_TERRAIN, ImportedMission, Wishes, assumed_of, imported_mission
 from missionplanner.map_tags import MapFeature
 from missionplanner.mission import Cylinder, FlatTerrain, Inspection, Mission, OverheadLine, parse_mission
 from missionplanner.scene import build_check_scene
@@ -167,11 +167,25 @@ def test_lines_all_over_the_country_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("kv", "safety_m"),
-    [(0.4, 1), (1, 1), (20, 3), (110, 3), (132, 4), (220, 4), (380, 5), (400, 5), (500, 11), (765, 11), (1100, 14)],
+    [
+        (0.4, 1),
+        (1, 1),
+        (20, 3),
+        (110, 3),
+        (123, 4),
+        (132, 4),
+        (220, 4),
+        (380, 5),
+        (400, 5),
+        (500, 8),
+        (750, 11),
+        (765, 14),
+        (1100, 20),
+    ],
 )
 def test_distances_follow_the_voltage(kv: float, safety_m: float) -> None:
-    assert class_of(kv).safety_m == safety_m
-    assert class_of(None).safety_m == 5
+    assert assumed_of(kv).safety_m == safety_m
+    assert assumed_of(None).safety_m == 5
 
 
 @pytest.mark.parametrize("kv", [None, 20, 110, 220, 380, 765, 1100])
