@@ -37,6 +37,7 @@ _ABOVE_TERRAIN = 10  # frame
 _ALTITUDE_MODE = {FRAME_GLOBAL: 2, FRAME_RELATIVE: 1, _ABOVE_TERRAIN: 4}
 _CALCULATED_ABOVE_TERRAIN = 3  # altitude mode
 _PARAMS = 7
+_LARGEST_INT = 2**31 - 1  # of the wire
 _LARGEST = 1.7e308  # an integer of JSON may be beyond any float
 
 
@@ -114,9 +115,14 @@ def _simple_item(item: MissionItem, jump_id: int) -> dict[str, Any]:
         "command": item.command,
         "doJumpId": jump_id,
         "frame": item.frame,
-        "params": [*params, wire_to_degrees(item.x), wire_to_degrees(item.y), _number(item.z)],
+        "params": [*params, *(_place(value, item.frame) for value in (item.x, item.y)), _number(item.z)],
         "type": "SimpleItem",
     }
+
+
+def _place(wire: int, frame: int) -> float:
+    """Return a latitude or longitude; where there is none, the number that is meant (a gimbal's flags) as it is."""
+    return float(wire) if frame == FRAME_MISSION else wire_to_degrees(wire)
 
 
 def _degrees(x: int, y: int) -> list[float]:
@@ -185,11 +191,13 @@ def _read_simple(entry: _Reader) -> MissionItem:
     if math.isnan(z) and entry.value.get("AltitudeMode") == _CALCULATED_ABOVE_TERRAIN:
         expected = "a latitude, a longitude and an altitude that QGroundControl has calculated above its terrain"
         raise entry.error("params", f"{expected} (open the plan there and save it again)", [lat_deg, lon_deg, z])
-    if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 180 and math.isfinite(z)):
+    nowhere = frame == FRAME_MISSION
+    most = (_LARGEST_INT, _LARGEST_INT) if nowhere else (90, 180)
+    if not (abs(lat_deg) <= most[0] and abs(lon_deg) <= most[1] and math.isfinite(z)):
         raise entry.error("params", "a latitude, a longitude and an altitude at the end", [lat_deg, lon_deg, z])
     command = entry.part("command", int).value
     autocontinue = int(entry.value.get("autoContinue") is not False)
-    x, y = degrees_to_wire(lat_deg), degrees_to_wire(lon_deg)
+    x, y = (round(value) if nowhere else degrees_to_wire(value) for value in (lat_deg, lon_deg))
     return MissionItem(0, frame, command, param1, param2, param3, param4, x, y, z, 0, autocontinue)
 
 

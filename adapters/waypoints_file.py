@@ -15,6 +15,7 @@ from pathlib import Path
 
 from adapters.mission_items import (
     FRAME_GLOBAL,
+    FRAME_MISSION,
     WAYPOINT,
     MissionItem,
     degrees_to_wire,
@@ -28,6 +29,7 @@ from missionplanner.vehicle import Autopilot
 _HEADER = "QGC WPL 110"
 _COLUMNS = 12
 _FRAME_GLOBAL_INT = 5
+_LARGEST_INT = 2**31 - 1  # of the wire
 
 
 def waypoints_text(items: Sequence[MissionItem], autopilot: Autopilot, home: GeoPoint) -> str:
@@ -45,7 +47,7 @@ def _row(item: MissionItem) -> str:
         *(str(value) for value in (item.seq, item.current, item.frame, item.command)),
         *(float32_text(value) for value in (item.param1, item.param2, item.param3, item.param4)),
         # one decimal more than the wire holds, so that no reader's truncation can reach it
-        *(f"{wire_to_degrees(value):.8f}" for value in (item.x, item.y)),
+        *(f"{v if item.frame == FRAME_MISSION else wire_to_degrees(v):.8f}" for v in (item.x, item.y)),
         float32_text(item.z),
         str(item.autocontinue),
     ]
@@ -120,9 +122,11 @@ def _item(line: str, where: str) -> MissionItem:
         autocontinue = int(columns[11])
     except ValueError as error:
         raise MissionError(f"{where}: expected numbers: {error}") from error
-    if not (abs(lat_deg) <= 90 and abs(lon_deg) <= 180 and math.isfinite(z)):
+    nowhere = frame == FRAME_MISSION  # what stands there then, a gimbal's flags perhaps, is meant as it is
+    most = (_LARGEST_INT, _LARGEST_INT) if nowhere else (90, 180)
+    if not (abs(lat_deg) <= most[0] and abs(lon_deg) <= most[1] and math.isfinite(z)):
         raise MissionError(
             f"{where}: expected a latitude, a longitude and an altitude, got {lat_deg}, {lon_deg} and {z}"
         )
-    x, y = degrees_to_wire(lat_deg), degrees_to_wire(lon_deg)
+    x, y = (round(value) if nowhere else degrees_to_wire(value) for value in (lat_deg, lon_deg))
     return MissionItem(seq, frame, command, param1, param2, param3, param4, x, y, z, current, autocontinue)

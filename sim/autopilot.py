@@ -106,6 +106,7 @@ class _Camera:
         self.off = False  # while PX4 is not in its mission
         self._every_m = 0.0
         self._last_m: FloatArray | None = None
+        self._at_once = 0
         self._left = 0.0
         self._interval_s = 0.0
         self._next_s = math.inf
@@ -115,9 +116,12 @@ class _Camera:
         self._every_m = _not_negative(every_m)
 
     def start(self, count: float, interval_s: float, now_s: float) -> None:
-        """Take so many photos (0: until stopped, if at an interval, else one), the first at once."""
+        """Take so many photos (0: until stopped), the first at once; of one alone, what goes on is not disturbed."""
+        if count == 1.0 or (count < 1.0 and not interval_s > 0.0):
+            self._at_once += 1
+            return
         self._interval_s = _not_negative(interval_s)
-        self._left = count if count >= 1.0 else (math.inf if self._interval_s > 0.0 else 1.0)
+        self._left = count if count >= 1.0 else math.inf
         self._next_s = now_s
 
     def stop(self) -> None:
@@ -129,15 +133,17 @@ class _Camera:
         """When :meth:`due` is to be asked."""
         if self.off:
             return math.inf
-        return -math.inf if self._every_m > 0.0 else self._next_s
+        return -math.inf if self._every_m > 0.0 or self._at_once > 0 else self._next_s
 
     def due(self, position_m: FloatArray, now_s: float) -> bool:
         """Whether a photo is taken now; then it counts as taken."""
         far = self._last_m is None or math.dist(position_m[:2], self._last_m[:2]) >= self._every_m
         timed = now_s >= self._next_s
-        if not timed and not (self._every_m > 0.0 and far):
+        if self._at_once > 0:
+            self._at_once -= 1
+        elif not timed and not (self._every_m > 0.0 and far):
             return False
-        if timed:
+        elif timed:
             self._left -= 1.0
             self._next_s = self._next_s + self._interval_s if self._left >= 1.0 else math.inf
         self.taken += 1

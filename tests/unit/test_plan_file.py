@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
-from adapters.mission_items import plan_items
+from adapters.mission_items import MissionItem, plan_items
 from adapters.plan_file import PlanFile, plan_text, read_plan
 from missionplanner.errors import MissionError
+from missionplanner.geodesy import GeoPoint
 from missionplanner.vehicle import Autopilot, Ending
 from tests.plans import FRAME, vehicle_plan
 
@@ -55,6 +56,16 @@ def test_px4s_heading_is_null() -> None:
     assert [item["params"][3] for item in items] == [None, 0.0, None, None, None]
 
 
+def test_numbers_that_are_no_place_are_not_scaled(tmp_path: Path) -> None:
+    """QGroundControl sends param 5 of a frame without position as it stands: a gimbal's flags, a shutter."""
+    pitch_yaw = MissionItem(0, 2, 1000, -30.0, 90.0, math.nan, math.nan, x=28, y=0, current=1)
+    path = tmp_path / "m.plan"
+    path.write_text(plan_text(PlanFile("px4", GeoPoint(47.0, 8.0, 400.0), (pitch_yaw,)), "copter"))
+    (item,) = json.loads(path.read_text())["mission"]["items"]
+    assert item["params"][4:] == [28.0, 0.0, 0.0]
+    assert read_plan(path).items == (pitch_yaw,)
+
+
 @pytest.mark.parametrize(
     ("name", "count"),
     [
@@ -75,8 +86,8 @@ def test_real_plans_are_read(name: str, count: int | None) -> None:
     assert [item.command for item in items] == [entry["command"] for entry in simple]
     assert [item.seq for item in plan.items] == list(range(len(plan.items)))
     for item, entry in zip(items, simple, strict=True):
-        lat = entry["params"][4] or 0.0
-        assert abs(item.x / 1e7 - lat) <= 0.5e-7 + 1e-12
+        lat = entry["params"][4] or 0.0  # in frame 2 it is none, but perhaps the shutter of DO_DIGICAM_CONTROL
+        assert abs(item.x / 1e7 - lat) <= 0.5e-7 + 1e-12 if entry["frame"] != 2 else item.x == lat
         assert math.isnan(item.param4) == (entry["params"][3] is None)
 
 
