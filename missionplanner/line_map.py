@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray, LocalFrame
 from missionplanner.map_tags import (
+    HEIGHT_RANGE_M,
     INSPECTIONS,
     LAYER,
     LINES,
@@ -45,7 +46,6 @@ _MATCH_M = 10.0  # a tower this close to a vertex of a line stands at it
 _BESIDE_M = 25.0  # a tower this close to a line, between its vertices, carries it
 _BEND_M = 25.0  # a vertex this close to a tower that carries the line is no tower of its own
 _DETOUR_SHARE = 1.05  # numbers of towers, or their order in a file, may make a way so much longer than the shortest
-_HEIGHT_M = (3.0, 400.0)  # of towers: the tallest stands 380 m high
 _MEDIAN_HEIGHT_MAX_M = 120.0  # of a map's towers: more are elevations
 _TWO_OPT_ROUNDS = 60
 
@@ -186,7 +186,11 @@ class _Builder:
         """Add towers and pylons, each once."""
         if not points:
             return
-        told = [(f.source, found[1]) for f in points if (found := value(f.tags, INSPECTIONS)) is not None]
+        told = [
+            (f.source, found[1])
+            for f in points
+            if not f.openstreetmap and (found := value(f.tags, INSPECTIONS)) is not None
+        ]
         inspected = iso_dates(told)
         at_m = self._local(np.array([f.lat_lon_deg[0] for f in points]))
         first_of = _first_within(at_m, _SAME_M)
@@ -208,7 +212,7 @@ class _Builder:
         self, feature: MapFeature, inspected: str | None, heights: list[tuple[MapFeature, str, float]]
     ) -> Support:
         height = height_m(feature)
-        if height is not None:
+        if height is not None and not feature.openstreetmap:
             heights.append((feature, *height))
         names_of = NAMES[:2] if feature.openstreetmap else NAMES
         name, line, order = (value(feature.tags, names) for names in (names_of, LINES, ORDERS))
@@ -401,7 +405,7 @@ def _check_heights(heights: Sequence[tuple[MapFeature, str, float]]) -> None:
             f"{heights[0][0].source}: expected heights of towers above the ground, got {heights[0][1]} with a median "
             f"of {median_m:.0f} m: if these are elevations, call them ele"
         )
-    low_m, high_m = _HEIGHT_M
+    low_m, high_m = HEIGHT_RANGE_M
     for feature, name, height in heights:
         if not low_m <= height <= high_m:
             raise MissionError(

@@ -10,10 +10,11 @@ import itertools
 import json
 import math
 import re
+import textwrap
 import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ _SIZES_M = (
     (765.0, 75.0, 22.0),
     (math.inf, 100.0, 30.0),
 )
-# up to so many kV: to 380 (and so 400) DIN VDE 0105-100 table 103, then 29 CFR 1926.1408 table A, rounded up; beyond: ours
+# up to so many kV: DIN VDE 0105-100 table 103 up to 380 (and so 400), then 29 CFR 1926.1408 table A; then ours
 _DISTANCES_M = ((1.0, 1.0), (110.0, 3.0), (220.0, 4.0), (420.0, 5.0), (500.0, 8.0), (750.0, 11.0), (1000.0, 14.0))
 _LARGEST_DISTANCE_M = 20.0
 _UNKNOWN = Assumed(35.0, 8.0, 5.0)
@@ -182,8 +183,6 @@ class _Importer:
                 chosen += [wire for wire in matching if wire not in chosen]
         else:
             chosen = _of_highest_voltage(here)
-        for wire in chosen:
-            self._expect_towers(wire)
         others = len(here) - len(chosen)
         if others and not self._wishes.lines:
             rest = _count(others, "other line")
@@ -224,7 +223,9 @@ class _Importer:
         for is_in, places in itertools.groupby(range(n), key=inside.__getitem__):
             stretch = list(places)
             if is_in:
-                yield _Run(wire, row[max(0, stretch[0] - 1) : min(n, stretch[-1] + 2)])
+                supports = row[max(0, stretch[0] - 1) : min(n, stretch[-1] + 2)]
+                self._expect_towers(replace(wire, supports=supports))
+                yield _Run(wire, supports)
 
     def _name_lines(self) -> list[str]:
         names: list[str] = []
@@ -701,6 +702,10 @@ class _Importer:
         if loose:
             what = _count(loose, "vertex", "vertices")
             notes.append(f"{what} of lines without a tower on the map taken for towers: marked assumed: [place]")
+        never = sum(self._map.supports[s].last_inspected is None for s in self._inspected)
+        if 0 < never < len(self._inspected):
+            what = _count(never, "tower")
+            notes.append(f"{what} without last_inspected count least (weight 1, others: days since): fill in either")
         for name, run in zip(self._line_names, self._runs, strict=True):
             if run.wire.ordered_by:
                 notes.append(f"line {name}: towers in order of {run.wire.ordered_by}: check it")
@@ -761,13 +766,14 @@ class _Importer:
         yield "  assignment: {objective: makespan} # or priority, balanced: planning finds who inspects what"
         yield "  lines:"
         for name, run in zip(self._line_names, self._runs, strict=True):
-            line = {
-                "name": name,
-                "voltage_kv": run.wire.voltage_kv,
-                "towers": [self._tower_names[s] for s in run.supports],
-            }
-            shown = _flow({k: v for k, v in line.items() if v is not None})
-            yield f"    - {shown} # {_one_line(run.wire.title)}"
+            yield f"    - name: {_flow(name)} # {_one_line(run.wire.title)}"
+            if run.wire.voltage_kv is not None:
+                yield f"      voltage_kv: {_flow(run.wire.voltage_kv)}"
+            names = ", ".join(_flow(self._tower_names[s]) for s in run.supports)
+            yield "      towers:"
+            yield from textwrap.wrap(
+                f"[{names}]", 116, initial_indent=" " * 8, subsequent_indent=" " * 9, break_on_hyphens=False
+            )
         yield "  towers:"
         for s in self._inspected:
             yield f"    - {_flow(self._tower(s))}"

@@ -156,6 +156,8 @@ def is_minor(feature: MapFeature) -> bool:
     return tags.get("power") == "minor_line" or ("power" not in tags and value(tags, _BUILT) is not None)
 
 
+HEIGHT_RANGE_M = (3.0, 400.0)
+"""Of towers: the tallest stands 380 m high."""
 _LEAST_VOLTS = 200.0  # of an overhead line: fewer are kilovolts, whatever OpenStreetMap asks for
 _MOST_KILOVOLTS = 1500.0  # no line has more: more are volts
 
@@ -172,6 +174,8 @@ def number(text: str) -> float | None:
 def height_m(feature: MapFeature) -> tuple[str, float] | None:
     """Return the attribute and the height above ground that it states, in metres.
 
+    What OpenStreetMap's volunteers wrote and nobody can read as a tower's height is none: its reader cannot mend it.
+
     Raises
     ------
     MissionError
@@ -183,10 +187,14 @@ def height_m(feature: MapFeature) -> tuple[str, float] | None:
     name, text = found
     match = re.fullmatch(r"\s*~?\s*([\d.,]+)\s*(m|metres?|meters?|ft|feet|')?\s*", text.lower())
     metres = number(match.group(1)) if match else None
-    if match is None or metres is None or metres <= 0.0:
+    if match is not None and metres is not None:
+        in_feet = match.group(2) in {"ft", "feet", "'"} or name in _HEIGHTS_FT
+        metres = metres * 0.3048 if in_feet else metres
+    if feature.openstreetmap and not (metres is not None and HEIGHT_RANGE_M[0] <= metres <= HEIGHT_RANGE_M[1]):
+        return None
+    if metres is None or metres <= 0.0:
         raise MissionError(f"{feature.source}: expected a height in metres, e.g. 35 or 35 m, got {name} {text!r}")
-    in_feet = match.group(2) in {"ft", "feet", "'"} or name in _HEIGHTS_FT
-    return name, metres * 0.3048 if in_feet else metres
+    return name, metres
 
 
 def voltage_kv(feature: MapFeature) -> float | None:

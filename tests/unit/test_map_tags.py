@@ -63,6 +63,11 @@ def test_a_height_that_is_none_is_refused(text: str) -> None:
         height_m(feature(height=text))
 
 
+@pytest.mark.parametrize("text", ["tall", "30;35", "0", "431", "1.5"])
+def test_what_volunteers_wrote_and_nobody_can_read_is_no_height(text: str) -> None:
+    assert height_m(feature(osm=True, power="tower", height=text)) is None
+
+
 @pytest.mark.parametrize(
     ("tags", "osm", "kv"),
     [
