@@ -45,6 +45,8 @@ _AVOID_S = 20.0
 """How long before and after a conflict the other's flight is kept clear of."""
 _SHIFTS_S = (5.0, -5.0, 10.0, -10.0, 15.0, -15.0, 25.0, -25.0, 40.0)
 """How much later or earlier a vehicle may pass where it would meet another."""
+_AFTER_STANDING_S = (5.0, 10.0, 20.0, -5.0)
+"""How much longer than one of them stands still there it passes later, or how much less."""
 _LATER_S = 3.0
 _LATER_MAX_S = 60.0
 """By how much the fleet may arrive later for that: rather than flying around each other, and where there is no way."""
@@ -265,7 +267,7 @@ class _Team:
                 return returned, plan
             parted = (
                 self._timed_apart(conflict, plan, _LATER_S)
-                or self._part(conflict, plan, round_)
+                or (not _both_stand(plan, conflict) and self._part(conflict, plan, round_))
                 or self._timed_apart(conflict, plan, _LATER_MAX_S)
             )
             if not parted:
@@ -289,16 +291,17 @@ class _Team:
         before_s = plan.arrival_s
         for index in (conflict.second, conflict.first):
             name, other = plan.vehicles[index].name, conflict.names[int(index == conflict.first)]
-            for shift_s in _SHIFTS_S:
+            longer_s = _standing_s(plan, conflict)
+            for shift_s in (*_SHIFTS_S, *(longer_s + more_s for more_s in _AFTER_STANDING_S if longer_s > 0.0)):
                 if not self._promising(index, conflict, plan, shift_s, later_max_s):
                     continue
-                for pins, delays_s, how, told in self._timings(index, conflict, plan, shift_s):
+                for pins, delays_s, how, told in self._timings(index, conflict, plan, shift_s, longer_s):
                     try:
                         schedules, arrival_s = schedule(self._scene, self._paths, delays_s, pins)
                     except InfeasibleError:
                         continue
                     later_s = (arrival_s or 0.0) - (before_s or 0.0)
-                    if later_s > later_max_s:
+                    if later_s > later_max_s + longer_s:
                         continue
                     trial = assemble(self._scene, self._paths, schedules, arrival_s, self._seed)
                     if self._keeps_apart(index, conflict, trial):
@@ -330,9 +333,12 @@ class _Team:
         return True
 
     def _timings(
-        self, index: int, conflict: Conflict, plan: FleetPlan, shift_s: float
+        self, index: int, conflict: Conflict, plan: FleetPlan, shift_s: float, longer_s: float
     ) -> Iterator[tuple[list[_Pin], list[float], Literal["speed", "start"], str]]:
-        """Yield pins and delays with which a vehicle passes the conflict ``shift_s`` later (below 0: earlier)."""
+        """Yield pins and delays with which a vehicle passes the conflict ``shift_s`` later (below 0: earlier).
+
+        Where somebody stands still there, also with the other where it is now: it must not come later as well.
+        """
         vehicle = plan.vehicles[index]
         last = len(vehicle.reached_s) - 1
         # the waypoint before or after the conflict at which it can still make up for it
@@ -346,6 +352,12 @@ class _Team:
             delays_s = list(self._delays_s)
             delays_s[index] = vehicle.start_delay_s + shift_s
             yield self._pins, delays_s, "start", f"starts {delays_s[index]:g} s after the mission"
+        other = conflict.first if index == conflict.second else conflict.second
+        at = _place_at(plan.vehicles[other], conflict.t_s)
+        if longer_s > 0.0 and 1 <= passed < last and 1 <= at < len(plan.vehicles[other].reached_s) - 1:
+            stays = _Pin(other, at, round(float(plan.vehicles[other].reached_s[at]), 2))
+            others = [p for p in kept if (p.index, p.waypoint) != (other, at)]
+            yield [*others, pin, stays], self._delays_s, "speed", told
 
     def _keeps_apart(self, index: int, conflict: Conflict, plan: FleetPlan) -> bool:
         """Whether a vehicle comes too close to nobody, and to whom it would have met not even if one is a bit off."""
@@ -503,6 +515,33 @@ class _Team:
         clear = tubes_clear(space, self._scene.terrain.bounds, task.limits, polyline_legs(path.waypoints_m), spare_m)
         owner = np.repeat(range(len(path.pieces)), [len(piece.waypoints_m) - 1 for piece in path.pieces])
         return sorted(set(owner[~clear].tolist()))
+
+
+def _place_at(vehicle: VehiclePlan, t_s: float) -> int:
+    """Return the waypoint at which a vehicle stands, or to which it flies, at a time; beyond the goal: their number."""
+    return int(np.searchsorted(vehicle.reached_s + np.concatenate([[0.0], vehicle.hold_s]), t_s))
+
+
+def _standing_s(plan: FleetPlan, conflict: Conflict) -> float:
+    """Return for how long the first or second of two stands still where they are too close, the longer one's."""
+    found = [0.0]
+    for index in (conflict.first, conflict.second):
+        at = _place_at(plan.vehicles[index], conflict.t_s)
+        if at in plan.vehicles[index].actions:
+            found.append(plan.vehicles[index].actions[at].stand_s)
+    return max(found)
+
+
+def _both_stand(plan: FleetPlan, conflict: Conflict) -> bool:
+    """Whether two meet where each has to stand still, too close to the other's place: no other way parts them."""
+    places = []
+    for index in (conflict.first, conflict.second):
+        vehicle = plan.vehicles[index]
+        at = _place_at(vehicle, conflict.t_s)
+        if at not in vehicle.actions or vehicle.actions[at].stand_s == 0.0:
+            return False
+        places.append(vehicle.waypoints_m[at])
+    return bool(np.linalg.norm(places[0] - places[1]) < conflict.required_m)
 
 
 def _pieces_at(path: PlannedPath, vehicle: VehiclePlan, begin_s: float, end_s: float) -> list[int]:
