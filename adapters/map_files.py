@@ -152,8 +152,9 @@ class _Reader:
                     self.notes.append(f"{name}: archives within it were not read")
                 for member in maps:
                     self.read(member, f"{name}/{member.relative_to(folder).as_posix()}")
-        except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError, ValueError) as error:
-            raise MissionError(f"{name}: expected an archive that can be read, got a damaged one: {error}") from error
+        except (zipfile.BadZipFile, zlib.error, NotImplementedError, EOFError, ValueError, OSError) as error:
+            reason = str(error)[:200]
+            raise MissionError(f"{name}: expected an archive that can be read, got a damaged one: {reason}") from error
         except RuntimeError as error:  # as zipfile says it of passwords
             raise MissionError(f"{name}: expected an archive without password, got: {error}") from error
 

@@ -48,7 +48,7 @@ def read_osm(path: Path, name: str, most: int) -> Iterator[MapFeature]:
             for node in (_objects(path, osmium.osm.NODE, wanted, name, _MAX_VERTICES) if refs else ())
             if node.location.valid()
         }
-    except (RuntimeError, OSError, ValueError) as error:
+    except (RuntimeError, OSError, ValueError, osmium.InvalidLocationError) as error:
         reason = " ".join(str(error).split())
         raise MissionError(f"{name}: expected an OpenStreetMap file, got a damaged one: {reason[:300]}") from error
     for number, place, tags in tagged:

@@ -13,10 +13,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from missionplanner.errors import MissionError
 from missionplanner.map_tags import iso_dates
 from tests import maps
 
 Towers = list[tuple[float, float]]
+STRAIGHT = [(round(47.0 + 0.002 * k, 7), 9.5) for k in range(5)]
 TOLERANCE_DEG = 1.5e-7  # as written, to seven places; projected coordinates there and back
 
 
@@ -36,7 +38,7 @@ WRITERS: dict[str, Any] = {
 
 @pytest.mark.parametrize("name", WRITERS)
 @given(towers=maps.routes())
-@settings(max_examples=12)
+@settings(max_examples=8)
 def test_a_drawn_line_keeps_its_towers_and_their_order(name: str, towers: Towers) -> None:
     with TemporaryDirectory() as folder:
         made, mission = maps.imported(WRITERS[name](Path(folder) / name, towers))
@@ -59,7 +61,7 @@ def test_a_table_is_sorted_by_its_order_column(towers: Towers, seed: int) -> Non
 
 
 @given(towers=maps.routes(turn_deg=25.0), seed=st.integers(0, 1000))
-@settings(max_examples=25)
+@settings(max_examples=15)
 def test_towers_without_a_line_are_ordered_along_it_one_way_or_the_other(towers: Towers, seed: int) -> None:
     mixed = towers.copy()
     random.Random(seed).shuffle(mixed)
@@ -74,7 +76,7 @@ def test_towers_without_a_line_are_ordered_along_it_one_way_or_the_other(towers:
 
 
 @given(towers=maps.routes(least=4), cut=st.integers(1, 18), turned=st.booleans())
-@settings(max_examples=25)
+@settings(max_examples=15)
 def test_pieces_that_continue_each_other_are_one_line(towers: Towers, cut: int, turned: bool) -> None:
     cut = min(cut, len(towers) - 2)
     first, second = towers[: cut + 1], towers[cut:]
@@ -119,3 +121,27 @@ def test_slashed_dates_are_read_as_the_whole_table_can_be_or_refused(days: list[
     else:
         with pytest.raises(Exception, match="day or month first"):
             iso_dates(texts)
+
+
+@pytest.mark.parametrize("name", [*WRITERS, "towers.csv"])
+@given(data=st.data())
+@settings(max_examples=12)
+def test_a_damaged_map_is_read_or_refused_in_one_line(name: str, data: st.DataObject) -> None:
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        if name.endswith(".csv"):
+            maps.csv(path, STRAIGHT, range(len(STRAIGHT)))
+        else:
+            WRITERS[name](path, STRAIGHT)
+        content = bytearray(path.read_bytes())
+        for _ in range(data.draw(st.integers(1, 4), label="damages")):
+            at = data.draw(st.integers(0, len(content) - 1), label="at")
+            length = data.draw(st.integers(0, 40), label="bytes replaced")
+            content[at : at + length] = data.draw(st.binary(max_size=8), label="by")
+            content = content or bytearray(b"\0")
+        path.write_bytes(content)
+        try:
+            maps.imported(path)
+        except MissionError as refusal:
+            assert "\n" not in str(refusal)
+            assert len(str(refusal)) < 900
