@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from missionplanner.geodesy import LocalFrame
-from missionplanner.mission import load_mission
-from missionplanner.scene import build_check_scene
+from missionplanner.mission import Mission, Stop, load_mission
+from missionplanner.scene import build_check_scene, build_scene
 from tests import maps
 from tests.command_line import Cli, expect_refusal
 
@@ -78,7 +78,30 @@ def test_a_real_network_with_its_terrain_makes_a_scene(cli: Cli, tmp_path: Path)
     homes = np.array([task.home_m for task in scene.tasks])
     assert len(homes) == 6
     assert np.linalg.norm(homes[:, None] - homes, axis=-1)[~np.eye(6, dtype=bool)].min() > 1000  # all along the lines
+    build_scene(with_a_hop(mission), tmp_path)  # homes are level, clear of everything, and apart
     assert len(mission.obstacles) == 20  # of 22 other lines: one is in the ground, two are pieces of one
+
+
+def with_a_hop(mission: Mission) -> Mission:
+    """Return the mission with one stop near home for each vehicle, instead of an open inspection."""
+    vehicles = tuple(
+        vehicle.model_copy(
+            update={
+                "stops": (
+                    Stop(
+                        lat_deg=(vehicle.home.lat_deg or 0.0) + 2e-4,
+                        lon_deg=vehicle.home.lon_deg,
+                        height_agl_m=90.0,
+                    ),
+                )
+            }
+        )
+        for vehicle in mission.vehicles
+        if vehicle.home is not None
+    )
+    assert mission.inspection is not None
+    closed = mission.inspection.model_copy(update={"assignment": None})
+    return mission.model_copy(update={"inspection": closed, "vehicles": vehicles})
 
 
 @needs_bayreuth
