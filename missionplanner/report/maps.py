@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -55,6 +55,11 @@ _KINDS = {
     "tower": "tower of the line",
     "line": "another line",
 }
+_TOWER_WORDS = {
+    "planned": "tower, by its vehicle",
+    "left out": "tower left out",
+    "done before": "tower done before",
+}
 _CONDUCTOR: dict[str, Any] = {"color": "#55606a", "linewidth": 6.2, "alpha": 0.55, "solid_capstyle": "butt"}
 _BAND: dict[str, Any] = {"linewidth": 7.5, "alpha": 0.85}
 _AROUND: dict[str, Any] = {"linewidth": 1.2, "linestyle": (0, (3, 1.5))}
@@ -76,11 +81,26 @@ def vehicle_map(facts: Sketch, shapes: Sequence[Shape], vehicle: Course, places_
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TowerMark:
+    """A tower (3,) and the colours of the vehicles that inspect it."""
+
+    place_m: FloatArray
+    colours: tuple[str, ...]
+    status: Literal["planned", "left out", "done before"]
+
+
+def inspection_map(facts: Sketch, shapes: Sequence[Shape], towers: Sequence[TowerMark]) -> Figure:
+    """Draw the ways of an inspection's vehicles from above, with its towers by who inspects them."""
+    return _map(facts, shapes, map_box(facts, shapes), _Extra(towers=towers))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Extra:
-    """What a map shows besides: numbered places on the ways, and ways (N, 2) of vehicles that it is not about."""
+    """What a map shows besides: numbered places on the ways, ways (N, 2) of vehicles that it is not about, towers."""
 
     places_m: Mapping[str, FloatArray] = field(default_factory=dict)
     others_m: Sequence[FloatArray] = ()
+    towers: Sequence[TowerMark] = ()
 
 
 def _map(facts: Sketch, shapes: Sequence[Shape], box: Box, extra: _Extra) -> Figure:
@@ -90,9 +110,11 @@ def _map(facts: Sketch, shapes: Sequence[Shape], box: Box, extra: _Extra) -> Fig
     ground = _draw_ground(axes, facts, box, columns=620)
     drawn = [s for s in shapes if overlaps(s.outline_m, box)]
     axes.add_collection(LineCollection(extra.others_m, zorder=5.2, **_OTHER))
-    _draw_all(axes, facts, drawn, ground, extra.places_m)
+    for tower in extra.towers:
+        axes.plot(*tower.place_m[:2], zorder=9.5, **_tower_mark(tower.status, tower.colours))
+    _draw_all(axes, facts, drawn, ground, extra)
     _scale_bar(figure, box, _MAP_LEFT_IN, _MAP_WIDTH_IN)
-    _side_panel(figure, facts, drawn, ground, box, others=bool(extra.others_m))
+    _side_panel(figure, facts, drawn, ground, box, extra)
     return figure
 
 
@@ -121,7 +143,7 @@ def detail_maps(facts: Sketch, shapes: Sequence[Shape]) -> Figure | None:
         left = _MAP_LEFT_IN + i * (width_in + 0.75)
         axes = _map_axes(figure, box, left, width_in, height_in)
         ground = _draw_ground(axes, facts, box, columns=300)
-        _draw_all(axes, facts, [s for s in shapes if overlaps(s.outline_m, box)], ground)
+        _draw_all(axes, facts, [s for s in shapes if overlaps(s.outline_m, box)], ground, _Extra())
         axes.set_title(title, loc="left", fontsize=9, fontweight="bold", color=style.INK, pad=5)
         _scale_bar(figure, box, left, width_in)
     return figure
@@ -219,9 +241,7 @@ def _draw_ground(axes: Axes, facts: Sketch, box: Box, columns: int) -> Ground:
     return ground
 
 
-def _draw_all(
-    axes: Axes, facts: Sketch, shapes: Sequence[Shape], ground: Ground, places_m: Mapping[str, FloatArray] | None = None
-) -> None:
+def _draw_all(axes: Axes, facts: Sketch, shapes: Sequence[Shape], ground: Ground, extra: _Extra) -> None:
     labels = Labels(axes)
     _draw_fence(axes, facts)
     for shape in shapes:
@@ -233,10 +253,10 @@ def _draw_all(
         labels.avoid_mark(v.home_m, 4.5)
         labels.avoid_mark(v.waypoints_m[-1], 5.0)
     _label_vehicles(labels, facts)
-    _label_places(axes, labels, places_m or {})
+    _label_places(axes, labels, extra.places_m)
     _label_open_legs(axes, labels, facts)
     _label_shapes(axes, labels, named(shapes))
-    _label_towers(labels, facts)
+    _label_towers(labels, facts, 4.5 if extra.towers else 2.6)
     _label_contours(axes, labels, ground)
 
 
@@ -388,19 +408,19 @@ def named(shapes: Sequence[Shape]) -> list[Shape]:
     ]
 
 
-def _label_towers(labels: Labels, facts: Sketch) -> None:
+def _label_towers(labels: Labels, facts: Sketch, mark_pt: float) -> None:
     """Name the first and the last tower, then as many between them as have room, evenly."""
     towers = facts.scene.towers
     if towers is None:
         return
     for top in towers.top_m:
-        labels.avoid_mark(top, 2.6)
+        labels.avoid_mark(top, mark_pt)
     count = len(towers.names)
     order = [0, count - 1]
     for step in (10, 5, 2, 1):
         order += [i for i in range(0, count, step) if i not in order]
     for i in dict.fromkeys(order):
-        labels.place(towers.names[i], towers.top_m[i], size=6, gap_pt=3.5, color=style.STEEL)
+        labels.place(towers.names[i], towers.top_m[i], size=6, gap_pt=mark_pt + 0.9, color=style.STEEL)
 
 
 def _label_contours(axes: Axes, labels: Labels, ground: Ground) -> None:
@@ -455,7 +475,7 @@ class _Row:
 
 
 def _side_panel(
-    figure: Figure, facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box, *, others: bool
+    figure: Figure, facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box, extra: _Extra
 ) -> None:
     """Draw north arrow, legend and, for a large area, an overview: beside the map, so nothing is covered."""
     whole = figure.get_size_inches()
@@ -469,7 +489,7 @@ def _side_panel(
     _north_arrow(axes, width_in - 0.16, top)
     _wind_arrow(axes, facts, width_in - 0.62, top)
     y = top - 0.02
-    for title, rows in _legend(facts, shapes, ground, box, others=others):
+    for title, rows in _legend(facts, shapes, ground, box, extra):
         axes.text(0.0, y, title, fontsize=8, fontweight="bold", va="center")
         y -= _ROW_IN * 1.1
         for row in rows:
@@ -506,7 +526,7 @@ def _wind_arrow(axes: Axes, facts: Sketch, x: float, top: float) -> None:
 
 
 def _legend(
-    facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box, *, others: bool
+    facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box, extra: _Extra
 ) -> list[tuple[str, list[_Row]]]:
     shown = facts.vehicles[:_NAMED_VEHICLES]
     vehicles = [
@@ -518,7 +538,7 @@ def _legend(
     ]
     if len(facts.vehicles) > len(shown):
         vehicles.append(_Row(f"and {len(facts.vehicles) - len(shown)} more"))
-    if others:
+    if extra.others_m:
         vehicles.append(_Row("other vehicles", _OTHER))
     grey = style.MUTED
     marks = [
@@ -530,6 +550,10 @@ def _legend(
         marks.append(_Row("take-off, way home", {"color": grey, **_AROUND}))
     if facts.flown:
         marks.append(_Row("flown track", {"color": style.INK, "linewidth": 0.9}))
+    statuses = {tower.status for tower in extra.towers}
+    for status, words in _TOWER_WORDS.items():
+        if status in statuses:
+            marks.append(_Row(words, mark=_tower_mark(status, (grey,))))
     kinds = {_kind(shape) for shape in shapes}
     things = [_key(kind) for kind in _KINDS if kind in kinds]
     if any(len(within(side, box)) for side in fence_sides(facts)):
@@ -554,6 +578,17 @@ def _room_rows(facts: Sketch) -> list[_Row]:
         _Row(text, {"color": style.room_colour(room_m), "solid_capstyle": "butt", **_BAND}) for text, room_m in told
     ]
     return [*rows, _Row("not proven", {"color": style.BAD, "solid_capstyle": "butt", **_BAND})]
+
+
+def _tower_mark(status: str, colours: Sequence[str]) -> dict[str, Any]:
+    """Return how a tower is drawn: in the colour of who inspects it, in two halves where two do."""
+    mark: dict[str, Any] = {"marker": "s", "markersize": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.9}
+    if status == "left out":
+        return {"marker": "X", "markersize": 8.5, "color": style.BAD, "markeredgecolor": "white"}
+    if status == "done before" or not colours:
+        return {**mark, "color": "white", "markeredgecolor": style.MUTED}
+    halves = {"fillstyle": "left", "markerfacecoloralt": colours[1]} if len(colours) > 1 else {}
+    return {**mark, "color": colours[0], **halves}
 
 
 def _ring(marker: str, size: float, colour: str, width: float) -> dict[str, Any]:
