@@ -1204,13 +1204,12 @@ def parameters(
 @app.command()
 def report(folder: PlanFolder, as_json: AsJson = False) -> None:
     """Write FOLDER/report.html (proof, maps, profiles, the flight if flown), and a page for each vehicle's crew."""
-    from adapters.certificates import certify_plan
-    from missionplanner.plan_folder import load_flight, load_plan
-    from missionplanner.report import write_report
+    if inspection_commands.is_inspection(folder):
+        path = inspection_commands.report(folder, lambda at, scene, fleet_plan: _report(at, scene, fleet_plan)[0])
+    else:
+        from missionplanner.plan_folder import load_plan
 
-    scene, fleet_plan = load_plan(folder)
-    fleet_plan = replace(fleet_plan, certificate=certify_plan(scene, fleet_plan))
-    path = write_report(folder, scene, fleet_plan, load_flight(folder, fleet_plan), vehicle_pages=True)
+        _, path = _report(folder, *load_plan(folder))
     print_json({"report": str(path)}) if as_json else stdout.print(str(path), soft_wrap=True, highlight=False)
 
 
@@ -1416,6 +1415,17 @@ def _export(folder: Path, target: Path, options: ExportOptions) -> tuple[list[Pa
     if not certificate.proven:
         raise InfeasibleError(f"{folder}: not proven: {certificate.refusal}; nothing was written")
     return export_fleet(fleet_plan, target, options), export_remarks(fleet_plan, options)
+
+
+def _report(folder: Path, scene: Scene, fleet_plan: FleetPlan) -> tuple[FleetPlan, Path]:
+    """Write a plan's report, and a page for each vehicle's crew; return the plan with its proof, and the page."""
+    from adapters.certificates import certify_plan
+    from missionplanner.plan_folder import load_flight
+    from missionplanner.report import write_report
+
+    fleet_plan = replace(fleet_plan, certificate=certify_plan(scene, fleet_plan))
+    flight = load_flight(folder, fleet_plan)
+    return fleet_plan, write_report(folder, scene, fleet_plan, flight, vehicle_pages=True)
 
 
 def _load_proven(folder: Path, *, unproven: bool) -> tuple[Scene, FleetPlan]:

@@ -124,6 +124,7 @@ def plan_into(
 
     with stderr.status("writing"):
         save_inspection(folder, planned, save)
+        write_towers(folder, planned)
     return replace(planned, rounds=tuple(proven))
 
 
@@ -523,7 +524,27 @@ def write_coverage(
 
     path = folder / "coverage.json"
     write_atomic(path, json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n")
-    return {"coverage": path}
+    return {"coverage": path} | ({} if planned is None else write_towers(folder, planned, found))
+
+
+def write_towers(folder: Path, planned: InspectionPlan, seen: Coverage | None = None) -> dict[str, Path]:
+    """Write who inspects which tower, and what of it was seen, as CSV and GeoJSON; return their paths."""
+    from adapters.tower_table import tower_rows, write_tower_table
+
+    table, places = write_tower_table(folder, planned.scene.mission.name, tower_rows(planned, seen))
+    return {"towers": table, "towers_geojson": places}
+
+
+def report(folder: Path, report_round: WritePlan) -> Path:
+    """Write the report of a whole inspection, and by ``report_round`` those of its rounds; return the page's path."""
+    from missionplanner.inspection_folder import load_inspection, round_folder
+    from missionplanner.report import write_inspection_report
+
+    planned = with_plans(load_inspection(folder), folder, report_round)
+    flights = sum((_latest(round_folder(folder, k), r.plan) for k, r in enumerate(planned.rounds, start=1)), Flights())
+    seen = flights.measured(planned.scene) if flights.tracks else None
+    write_towers(folder, planned, seen)
+    return write_inspection_report(folder, planned, seen, flights.tracks)
 
 
 def _left_out_words(left_out: Sequence[Any]) -> str:
