@@ -103,18 +103,24 @@ class _Extra:
     towers: Sequence[TowerMark] = ()
 
 
-def _map(facts: Sketch, shapes: Sequence[Shape], box: Box, extra: _Extra) -> Figure:
+def ground_map(facts: Sketch, box: Box) -> tuple[Figure, Axes, Ground]:
+    """Draw the ground alone, with room beside it for :func:`side_panel`."""
     height_in = _MAP_WIDTH_IN * (box[3] - box[1]) / (box[2] - box[0])
     figure = style.new_figure(height_in + _MAP_BOTTOM_IN + 0.12)
     axes = _map_axes(figure, box, _MAP_LEFT_IN, _MAP_WIDTH_IN, height_in)
     ground = _draw_ground(axes, facts, box, columns=620)
+    _scale_bar(figure, box, _MAP_LEFT_IN, _MAP_WIDTH_IN)
+    return figure, axes, ground
+
+
+def _map(facts: Sketch, shapes: Sequence[Shape], box: Box, extra: _Extra) -> Figure:
+    figure, axes, ground = ground_map(facts, box)
     drawn = [s for s in shapes if overlaps(s.outline_m, box)]
     axes.add_collection(LineCollection(extra.others_m, zorder=5.2, **_OTHER))
     for tower in extra.towers:
         axes.plot(*tower.place_m[:2], zorder=9.5, **_tower_mark(tower.status, tower.colours))
     _draw_all(axes, facts, drawn, ground, extra)
-    _scale_bar(figure, box, _MAP_LEFT_IN, _MAP_WIDTH_IN)
-    _side_panel(figure, facts, drawn, ground, box, extra)
+    side_panel(figure, facts, box, _legend(facts, drawn, ground, box, extra))
     return figure
 
 
@@ -154,9 +160,16 @@ def _extent_m(places: FloatArray) -> float:
 
 
 def map_box(
-    facts: Sketch, shapes: Sequence[Shape], least_ratio: tuple[float, float] = (0.95, 0.52), *, towers: bool = True
+    facts: Sketch,
+    shapes: Sequence[Shape],
+    least_ratio: tuple[float, float] = (0.95, 0.52),
+    *,
+    towers: bool = True,
+    also_m: Sequence[FloatArray] = (),
 ) -> Box:
     """Return what the map shows: all paths, homes and towers; obstacles and fence where they are not much farther.
+
+    ``also_m``: other lines (N, 2) that it shows.
 
     Width to height and height to width are at least ``least_ratio``.
     """
@@ -164,7 +177,7 @@ def map_box(
     places += [v.flown.record.trajectory.position_m[:, :2] for v in facts.vehicles if v.flown]
     if towers and facts.scene.towers is not None:
         places.append(facts.scene.towers.top_m[:, :2])
-    everything = np.concatenate(places)
+    everything = np.concatenate([*places, *also_m])
     low, high = everything.min(axis=0), everything.max(axis=0)
     shown = _shown_size(high - low, least_ratio)
     extras = [(s.outline_m, _OBSTACLES_WIDEN) for s in shapes]
@@ -466,7 +479,7 @@ def _scale_bar(figure: Figure, box: Box, left_in: float, width_in: float) -> Non
 
 
 @dataclass(frozen=True, slots=True)
-class _Row:
+class LegendRow:
     """A line of the legend: its words, and how its line and its mark are drawn."""
 
     text: str
@@ -474,9 +487,7 @@ class _Row:
     mark: dict[str, Any] | None = None
 
 
-def _side_panel(
-    figure: Figure, facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box, extra: _Extra
-) -> None:
+def side_panel(figure: Figure, facts: Sketch, box: Box, legend: Sequence[tuple[str, Sequence[LegendRow]]]) -> None:
     """Draw north arrow, legend and, for a large area, an overview: beside the map, so nothing is covered."""
     whole = figure.get_size_inches()
     left_in = _MAP_LEFT_IN + _MAP_WIDTH_IN + 0.16
@@ -489,7 +500,7 @@ def _side_panel(
     _north_arrow(axes, width_in - 0.16, top)
     _wind_arrow(axes, facts, width_in - 0.62, top)
     y = top - 0.02
-    for title, rows in _legend(facts, shapes, ground, box, extra):
+    for title, rows in legend:
         axes.text(0.0, y, title, fontsize=8, fontweight="bold", va="center")
         y -= _ROW_IN * 1.1
         for row in rows:
@@ -527,40 +538,40 @@ def _wind_arrow(axes: Axes, facts: Sketch, x: float, top: float) -> None:
 
 def _legend(
     facts: Sketch, shapes: Sequence[Shape], ground: Ground, box: Box, extra: _Extra
-) -> list[tuple[str, list[_Row]]]:
+) -> list[tuple[str, list[LegendRow]]]:
     shown = facts.vehicles[:_NAMED_VEHICLES]
     vehicles = [
-        _Row(
+        LegendRow(
             v.name,
             {"color": style.vehicle_colour(v.index), "linestyle": style.vehicle_dashes(v.index), "linewidth": 2.2},
         )
         for v in shown
     ]
     if len(facts.vehicles) > len(shown):
-        vehicles.append(_Row(f"and {len(facts.vehicles) - len(shown)} more"))
+        vehicles.append(LegendRow(f"and {len(facts.vehicles) - len(shown)} more"))
     if extra.others_m:
-        vehicles.append(_Row("other vehicles", _OTHER))
+        vehicles.append(LegendRow("other vehicles", _OTHER))
     grey = style.MUTED
     marks = [
-        _Row("home", mark=_ring("s", 6.0, grey, 1.8)),
-        _Row("goal", mark={"marker": "o", "markersize": 7.5, "color": grey}),
-        _Row("waypoint", {"color": grey, "linewidth": 2.0}, _ring("o", 2.8, grey, 0.9)),
+        LegendRow("home", mark=_ring("s", 6.0, grey, 1.8)),
+        LegendRow("goal", mark={"marker": "o", "markersize": 7.5, "color": grey}),
+        LegendRow("waypoint", {"color": grey, "linewidth": 2.0}, _ring("o", 2.8, grey, 0.9)),
     ]
     if any(map(_flown_besides, facts.vehicles)):
-        marks.append(_Row("take-off, way home", {"color": grey, **_AROUND}))
+        marks.append(LegendRow("take-off, way home", {"color": grey, **_AROUND}))
     if facts.flown:
-        marks.append(_Row("flown track", {"color": style.INK, "linewidth": 0.9}))
+        marks.append(LegendRow("flown track", {"color": style.INK, "linewidth": 0.9}))
     statuses = {tower.status for tower in extra.towers}
     for status, words in _TOWER_WORDS.items():
         if status in statuses:
-            marks.append(_Row(words, mark=_tower_mark(status, (grey,))))
+            marks.append(LegendRow(words, mark=_tower_mark(status, (grey,))))
     kinds = {_kind(shape) for shape in shapes}
     things = [_key(kind) for kind in _KINDS if kind in kinds]
     if any(len(within(side, box)) for side in fence_sides(facts)):
-        things.append(_Row("fence", _FENCE))
+        things.append(LegendRow("fence", _FENCE))
     if contour_levels_m(ground).size:
         interval = contour_interval_m(ground.relief_m)
-        things.append(_Row(f"contours every {interval:g} m", {"color": "#7c6a50", "linewidth": 0.8}))
+        things.append(LegendRow(f"contours every {interval:g} m", {"color": "#7c6a50", "linewidth": 0.8}))
     return [
         ("Paths", vehicles),
         ("Proof: room to spare", _room_rows(facts)),
@@ -569,15 +580,16 @@ def _legend(
     ]
 
 
-def _room_rows(facts: Sketch) -> list[_Row]:
+def _room_rows(facts: Sketch) -> list[LegendRow]:
     if not any(v.legs for v in facts.vehicles):
-        return [_Row("nothing is proven")]
+        return [LegendRow("nothing is proven")]
     most_m = style.ROOM_SHOWN_M
     told = ((f"{most_m:g} m or more", most_m), (f"{most_m / 2:g} m", most_m / 2), ("none, but proven", 0.0))
     rows = [
-        _Row(text, {"color": style.room_colour(room_m), "solid_capstyle": "butt", **_BAND}) for text, room_m in told
+        LegendRow(text, {"color": style.room_colour(room_m), "solid_capstyle": "butt", **_BAND})
+        for text, room_m in told
     ]
-    return [*rows, _Row("not proven", {"color": style.BAD, "solid_capstyle": "butt", **_BAND})]
+    return [*rows, LegendRow("not proven", {"color": style.BAD, "solid_capstyle": "butt", **_BAND})]
 
 
 def _tower_mark(status: str, colours: Sequence[str]) -> dict[str, Any]:
@@ -597,14 +609,14 @@ def _ring(marker: str, size: float, colour: str, width: float) -> dict[str, Any]
     }  # fmt: skip
 
 
-def _key(kind: str) -> _Row:
+def _key(kind: str) -> LegendRow:
     colour = style.OBSTACLE_COLOURS.get(kind.removeprefix("soft "), style.STEEL)
     if kind in HANGING:
-        return _Row(_KINDS[kind], _CONDUCTOR if kind == "conductor" else {"color": colour, "linewidth": 1.5})
+        return LegendRow(_KINDS[kind], _CONDUCTOR if kind == "conductor" else {"color": colour, "linewidth": 1.5})
     if kind == "tower":
-        return _Row(_KINDS[kind], mark={"marker": "s", "markersize": 3.8, "color": colour})
+        return LegendRow(_KINDS[kind], mark={"marker": "s", "markersize": 3.8, "color": colour})
     mark = _ring("s" if kind == "no_fly" else "o", 8.0, colour, 1.0)
-    return _Row(_KINDS[kind], mark={**mark, "color": to_rgba(colour, _FILL_ALPHA[kind])})
+    return LegendRow(_KINDS[kind], mark={**mark, "color": to_rgba(colour, _FILL_ALPHA[kind])})
 
 
 def _overview(figure: Figure, facts: Sketch, box: Box, left_in: float, top_in: float) -> None:
