@@ -41,6 +41,7 @@ _HOME_CLEAR_M = 45.0  # of a home from whatever stands around
 _HOME_SLOPES_DEG = (5.0, 12.0)  # looked for at first, and at all
 _HOME_AWAY_M = (60.0, 90.0, 120.0, 170.0, 230.0, 300.0)  # from the line
 _HOME_REACH_M = 20_000.0
+_LLOYD_ROUNDS = 30
 _DENSE_M = 250.0  # between supports that are made up below a line drawn without them
 _OBSTACLE_M = 10.0
 
@@ -574,6 +575,7 @@ class _Importer:
         """Return per vehicle its home and what to say of it."""
         given, wanted = self._wishes.homes_deg, self._wishes.vehicles
         clear = self._is_clear()
+        starts, ends, centers = self._parts_of_the_lines(wanted)
         homes: list[tuple[float, float]] = []  # x, y
         told: list[str] = []
         for v in range(wanted):
@@ -585,41 +587,43 @@ class _Importer:
                 candidates = self._around(self._xy([given[v % len(given)]])[0])
                 what = f"assumed, beside home {v % len(given) + 1}"
             else:
-                candidates = self._beside_line(v, wanted)
+                candidates = self._beside_line(starts, ends, centers[v])
                 what = "assumed, beside the line"
             homes.append(self._first_good(list(candidates), homes, clear))
             told.append(f"{what}: check on the spot")
         if not given:
+            level = ", level" if self._terrain is not None else " (not if level: no terrain was at hand)"
             self._notes.append(
-                f"homes: {_count(wanted, 'site')} beside the lines assumed, clear of what is on the map"
-                + (
-                    " and on level ground"
-                    if self._terrain is not None
-                    else "; no terrain was at hand to look for level ground"
-                )
-                + ": check each on the spot (buildings, trees, roads and owners are not on the map), or give --home"
+                f"homes: {_count(wanted, 'site')} beside the lines assumed, clear of what is on the map{level}: check "
+                "each on the spot (buildings, trees, roads and owners are not on the map), or give --home"
             )
         positions = np.array([[x, y, 0.0] for x, y in homes])
         lat_deg, lon_deg, _ = self._frame.to_geo(positions)
         places = list(zip(lat_deg.tolist(), lon_deg.tolist(), strict=True))
         return list(zip([*given[:wanted], *places[len(given) :]], told, strict=True))
 
-    def _beside_line(self, vehicle: int, vehicles: int) -> Iterator[FloatArray]:
-        """Yield places beside the middle of a vehicle's equal part of the lines, then ever further along them."""
-        spans = [
-            (a, b)
-            for run in self._runs
-            for a, b in itertools.pairwise(run.supports)
-            if self._inside[a] and self._inside[b]
-        ] or [pair for run in self._runs for pair in itertools.pairwise(run.supports)]
-        begin = int((vehicle + 0.5) / vehicles * len(spans))
-        order = sorted(range(len(spans)), key=lambda k: (abs(k - begin), k))
-        for k in order[:40]:
-            a, b = self._xy(self._places(spans[k]))
-            way = (b - a) / max(float(np.linalg.norm(b - a)), 1.0)
+    def _parts_of_the_lines(self, parts: int) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
+        """Return the inspected spans' ends (S, 2) twice, and the middles of so many parts of them that lie together."""
+        pairs = [pair for run in self._runs for pair in itertools.pairwise(run.supports)]
+        pairs = [(a, b) for a, b in pairs if self._inside[a] and self._inside[b]] or pairs
+        starts, ends = (self._xy(self._places(side)) for side in zip(*pairs, strict=True))
+        middles = (starts + ends) / 2
+        centers = middles[((np.arange(parts) + 0.5) / parts * len(middles)).astype(int)]
+        for _ in range(_LLOYD_ROUNDS):  # k-means by Lloyd's method, from parts of equal numbers
+            nearest = np.linalg.norm(middles[:, None] - centers, axis=-1).argmin(axis=1)
+            centers = np.array(
+                [middles[nearest == k].mean(axis=0) if (nearest == k).any() else centers[k] for k in range(parts)]
+            )
+        return starts, ends, list(centers)
+
+    def _beside_line(self, starts: FloatArray, ends: FloatArray, center: FloatArray) -> Iterator[FloatArray]:
+        """Yield places beside the span that is nearest to the middle of a part of the lines, then beside others."""
+        middles = (starts + ends) / 2
+        for k in np.argsort(np.linalg.norm(middles - center, axis=1), kind="stable")[:40].tolist():
+            way = (ends[k] - starts[k]) / max(float(np.linalg.norm(ends[k] - starts[k])), 1.0)
             across = np.array([-way[1], way[0]])
             for away_m, side in itertools.product(_HOME_AWAY_M, (1.0, -1.0)):
-                yield (a + b) / 2 + side * away_m * across
+                yield middles[k] + side * away_m * across
 
     def _around(self, home_m: FloatArray) -> Iterator[FloatArray]:
         steps = sorted(itertools.product(range(-8, 9), repeat=2), key=lambda s: (s[0] ** 2 + s[1] ** 2, s))
