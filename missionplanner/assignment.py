@@ -14,7 +14,7 @@ import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Literal
 
 import numpy as np
@@ -44,8 +44,8 @@ _PRIZE_MIN = 0.05  # of a mean weight: even what weighs nothing is inspected whe
 _REFINEMENTS = 4
 _PER_EXCHANGE = 10  # iterations of the solver take about as long as one exchange of targets
 _DISTURBED = 4  # targets that are taken out together at most
-_NOISE = 0.3
-_TRIES, _EVENER_TRIES = 12, 200
+_NOISE, _HASTES = 0.3, (0.0, 0.5, 1.0, 1.0)
+_TRIES, _EVENER_TRIES, _FIRSTS = 12, 200, 2
 _EVEN_S = 10.0  # flight times that differ by less are equal
 _MEND = 0.995
 _MENDS = 6
@@ -559,7 +559,7 @@ class _Search:
         left = [target for target in problem.targets if target not in problem.inspected(plan)]
         while left:
             moves = _Moves(problem, plan)
-            worth = moves.worth(left)
+            worth = moves.worth(left, 1.0 if rng is None else float(rng.choice(_HASTES)))
             if rng is not None:
                 worth *= rng.uniform(1.0 - _NOISE, 1.0 + _NOISE, len(left))
             order = [k for k in np.argsort(-worth, kind="stable").tolist() if worth[k] > 0.0]
@@ -646,29 +646,41 @@ class _Moves:
         more: FloatArray = table[before, :count] + table[:count, after].T - table[before, after][:, np.newaxis]
         return more
 
-    def worth(self, targets: Sequence[str]) -> FloatArray:
-        """Return the weight of targets (N,) over how much longer they make the tours; 0 where none can take them."""
+    def worth(self, targets: Sequence[str], haste: float) -> FloatArray:
+        """Return the weight of targets (N,) over how much longer they make the tours, to the power of ``haste``.
+
+        0 where none can take them.
+        """
         problem = self._problem
         least_s = np.where(self._fits, self._more_s, np.inf).min(axis=0)
         longer_s = np.array(
             [sum(min(least_s[f] for f in problem.forms[v]) for v in problem.targets[target]) for target in targets]
         )
         weights = np.array([max(problem.weights[target], _SAME) for target in targets])
-        worth: FloatArray = np.where(np.isfinite(longer_s), weights / np.maximum(longer_s, _TICK_S), 0.0)
+        worth: FloatArray = np.where(np.isfinite(longer_s), weights / np.maximum(longer_s, _TICK_S) ** haste, 0.0)
         return worth
 
     def with_target(self, target: str) -> _Plan | None:
-        """Return the plan with a target, each of its visits where it makes a tour the least longer; None: none fits."""
-        routes = self._routes
-        for visit in self._problem.targets[target]:
-            moves = self if routes is self._routes else _Moves(self._problem, tuple(r for r in routes if r.forms))
-            grown = moves._with_visit(visit)
-            if grown is None:
-                return None
-            routes = grown
-        return tuple(route for route in routes if route.forms)
+        """Return the plan with a target, each of its visits where it makes a tour the least longer; None: none fits.
 
-    def _with_visit(self, visit: int) -> list[_Route] | None:
+        Where not all of them fit so, the first is tried in another tour, or another first.
+        """
+        visits = self._problem.targets[target]
+        for first in visits[:_FIRSTS]:
+            rest = [visit for visit in visits if visit != first]
+            for plan in islice(self._with_visit(first), None if rest else 1):
+                grown: _Plan | None = plan
+                for visit in rest:
+                    assert grown is not None
+                    grown = next(_Moves(self._problem, grown)._with_visit(visit), None)
+                    if grown is None:
+                        break
+                if grown is not None:
+                    return grown
+        return None
+
+    def _with_visit(self, visit: int) -> Iterator[_Plan]:
+        """Yield the plan with one more visit, in the tour first that it makes the least longer."""
         forms = list(self._problem.forms[visit])
         longer_s = np.where(self._fits[:, forms], self._more_s[:, forms], np.inf).min(axis=1)
         for k in np.argsort(longer_s, kind="stable").tolist():
@@ -676,8 +688,8 @@ class _Moves:
                 break
             longer = self._longer(k, visit)
             if longer is not None:
-                return [*self._routes[:k], longer, *self._routes[k + 1 :]]
-        return None
+                routes = (*self._routes[:k], longer, *self._routes[k + 1 :])
+                yield tuple(route for route in routes if route.forms)
 
     def _longer(self, k: int, visit: int) -> _Route | None:
         """Return a route with a visit, where it adds the least of some places at which the battery suffices."""
@@ -928,9 +940,11 @@ class _Graph:
         ways = np.full((len(forms), len(forms)), np.inf)
         out, back = np.full(len(forms), np.inf), np.full(len(forms), np.inf)
         for m in range(len(cost)):
+            homes = len(costs.forms) + np.flatnonzero(costs.model == m)
+            if not len(homes):
+                continue
             own = inspection[m, forms]
             np.minimum(ways, cost[m][np.ix_(forms, forms)] - own, out=ways)
-            homes = np.array([costs.home(v) for v in range(problem.vehicles) if costs.model[v] == m])
             np.minimum(out, (cost[m][np.ix_(homes, forms)] - own).min(axis=0), out=out)
             np.minimum(back, cost[m][np.ix_(forms, homes)].min(axis=1), out=back)
         of_visits = np.minimum.reduceat(np.minimum.reduceat(ways, begins, axis=0), begins, axis=1)

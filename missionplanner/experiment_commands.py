@@ -115,6 +115,28 @@ def fidelity(
 
 
 @app.command()
+def inspection(
+    data: Annotated[
+        Path, typer.Option(metavar="FOLDER", help="Bayreuth's elevations, towers and lines (docs/EXPERIMENTS.md)")
+    ] = Path("../shared/data"),
+    output: Output = None,
+    seed: Seed = 1,
+    quick: Quick = False,
+    workers: Workers = None,
+    as_json: AsJson = False,
+) -> None:
+    """Share out, plan and fly the inspection of two real lines; compare with simple ways, priorities and sizes."""
+    from missionplanner.experiments import inspection as experiment
+
+    run(
+        "inspection",
+        output,
+        as_json,
+        partial(experiment.main, data=data, seed=seed, quick=quick, workers=workers),
+    )
+
+
+@app.command()
 def arrival(
     output: Output = None,
     seed: Annotated[int, typer.Option(min=0, help="the first of them")] = 1,
