@@ -931,11 +931,16 @@ def _unvisited(scene: Scene) -> Towers | None:
         return None
     stops_m = np.concatenate([task.route_m for task in scene.tasks])
     nearest_m = np.linalg.norm(towers.top_m[:, np.newaxis] - stops_m, axis=-1).min(axis=1)
-    left = np.flatnonzero(nearest_m > towers.range_m)
+    left = np.flatnonzero((nearest_m > towers.range_m) & (towers.weight > 0.0))
     if left.size == 0:
         return None
-    names = tuple(towers.names[k] for k in left)
-    return replace(towers, names=names, top_m=towers.top_m[left], weight=towers.weight[left])
+    return replace(
+        towers,
+        names=tuple(towers.names[k] for k in left),
+        top_m=towers.top_m[left],
+        height_m=towers.height_m[left],
+        weight=towers.weight[left],
+    )
 
 
 def _went_around(vehicle: VehiclePlan, other: str, t_s: float, before: PlannedPath, after: PlannedPath) -> Resolution:
