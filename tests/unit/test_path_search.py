@@ -13,7 +13,7 @@ from missionplanner.clearance import Margins, legs_clear, legs_within_angles, po
 from missionplanner.cost import Price
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
-from missionplanner.path_search import Budget, PlannedPath, find_path
+from missionplanner.path_search import Budget, PlannedPath, find_path, find_way, pieces_of
 from missionplanner.scene import Scene
 from missionplanner.seeds import first_guesses
 from tests.scenes import at, copter, question, scene_of
@@ -254,3 +254,105 @@ def test_a_shorter_first_guess_of_several_is_taken(monkeypatch: pytest.MonkeyPat
     path = found(around)
     assert_flyable(around, path)
     assert path.path_m[:, 1].mean() < 0.0
+
+
+# --- piece by piece
+
+
+STANDS = [at(x, y, agl=40) | {"hold_s": 3} for x, y in ((80, 0), (160, 30), (240, 0))]
+
+
+def way(scene: Scene, seed: int = 1, **changes: Any) -> PlannedPath:
+    return find_way(
+        scene.tasks[0],
+        scene.space,
+        scene.terrain.bounds,
+        scene.obstacles.names,
+        lambda piece, extra_m: price(replace(scene, tasks=(piece.task,)), extra_m),
+        scene.mission.planner,
+        np.random.default_rng(seed),
+        lambda waypoints_m: True,
+        **changes,
+    )
+
+
+def test_ways_are_cut_where_a_vehicle_stands_still() -> None:
+    task = scene(ALPHA | {"stops": [*STANDS, at(270, 20, agl=40)]}).tasks[0]
+    pieces = pieces_of(task)
+    assert [len(piece.task.route_m) for piece in pieces] == [2, 2, 2, 3]
+    assert [piece.begin for piece in pieces] == [0, 1, 2, 3]
+    np.testing.assert_array_equal(np.vstack([p.task.route_m[:-1] for p in pieces[:3]]), task.route_m[:3])
+    shares = [share for piece in pieces for share in piece.share]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    many = scene(ALPHA | {"stops": [at(7 * k + 7, 5 * (-1) ** k, agl=40) for k in range(40)]}).tasks[0]
+    assert [len(piece.task.route_m) - 1 for piece in pieces_of(many)] == [16, 16, 9]
+    plane = replace(many, motion=replace(many.motion, vehicle_class="plane"))
+    assert len(pieces_of(plane)) == 1
+
+
+def test_clear_legs_between_stands_are_not_searched() -> None:
+    free = scene(ALPHA | {"stops": STANDS})
+    path = way(free)
+    np.testing.assert_allclose(path.waypoints_m, free.tasks[0].route_m, atol=1e-3)
+    assert path.evaluations == 4
+    assert path.length_m == pytest.approx(
+        np.linalg.norm(np.diff(free.tasks[0].route_m, axis=0), axis=1).sum(), abs=0.01
+    )
+    assert path.cost == pytest.approx(price(free, 1.0).total(path.path_m[np.newaxis])[0])
+
+
+def test_only_the_piece_with_a_mast_in_its_way_is_searched() -> None:
+    around = scene(ALPHA | {"stops": STANDS}, obstacles=[MAST | {"center": at(40, 2)}])
+    path = way(around)
+    assert_flyable(around, path)
+    assert len(path.pieces) == 4
+    assert [piece.evaluations for piece in path.pieces[1:]] == [1, 1, 1]
+    assert path.evaluations > 50
+    assert (np.diff(path.history) <= 1e-12).all()
+    again = way(around)
+    np.testing.assert_array_equal(path.path_m, again.path_m)
+    np.testing.assert_array_equal(path.history, again.history)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_each_piece_is_as_good_as_alone(seed: int) -> None:
+    masts = [MAST | {"name": f"m{k}", "center": at(40 + 80 * k, 3 * (-1) ** k + 15 * (k in (1, 2)))} for k in range(3)]
+    cluttered = scene(ALPHA | {"stops": STANDS}, obstacles=masts)
+    path = way(cluttered, seed)
+    assert_flyable(cluttered, path)
+    for piece, whole in zip(pieces_of(cluttered.tasks[0]), path.pieces, strict=True):
+        alone = found(replace(cluttered, tasks=(piece.task,)), seed)
+        assert whole.length_m <= alone.length_m * 1.02
+
+
+def test_pieces_that_are_kept_stay_as_they_are_unless_they_lead_elsewhere() -> None:
+    around = scene(ALPHA | {"stops": STANDS}, obstacles=[MAST | {"center": at(40, 2)}])
+    path = way(around)
+    bent = replace(path.pieces[2], path_m=path.pieces[2].path_m + np.array([0.0, 0.0, 1.0]))
+    kept = way(around, kept={2: bent})
+    assert kept.pieces[2] is bent
+    elsewhere = replace(bent, waypoints_m=bent.waypoints_m + 5.0)
+    assert way(around, kept={2: elsewhere}).pieces[2] is not elsewhere
+
+
+def test_what_is_wider_is_wider_where_it_is_asked_for() -> None:
+    beside = [MAST | {"name": f"m{k}", "center": at(x, 26), "radius_m": 8} for k, x in enumerate((40, 270))]
+    near = scene(
+        ALPHA | {"stops": [at(80, 0, agl=40) | {"hold_s": 3}, at(230, 0, agl=40) | {"hold_s": 3}]}, obstacles=beside
+    )
+    off = [np.abs(piece.path_m[:, 1]).max() for piece in way(near).pieces]
+    wider = [np.abs(piece.path_m[:, 1]).max() for piece in way(near, wider_m={0: 6.0}).pieces]
+    assert off[0] < 0.1
+    assert wider[0] > 1.0
+    assert wider[1:] == off[1:]
+
+
+def test_which_stops_have_no_way_between_them_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def blocked(_space: object, _limits: object, start_m: FloatArray, *_: object, **__: object) -> list[FloatArray]:
+        raise InfeasibleError(f"the wall, from {start_m[0]:.0f} m on")
+
+    monkeypatch.setattr(path_search, "first_guesses", blocked)
+    walled = scene(ALPHA | {"stops": STANDS}, obstacles=[MAST | {"center": at(200, 15), "radius_m": 5}])
+    with pytest.raises(InfeasibleError, match="alpha: no way from stop 2 to stop 3: the wall, from 160 m on"):
+        way(walled)

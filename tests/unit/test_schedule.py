@@ -199,3 +199,24 @@ def test_a_solved_speed_is_a_multiple_of_its_step_and_the_nearest_in_time() -> N
         return 100.0 / v - (0.0 if v < 5.0 else 3.0) - 20.5
 
     assert abs(jumping(solve_speed(jumping, 2.0, 10.0))) <= ARRIVAL_TOLERANCE_S
+
+
+@given(st.lists(st.integers(0, 20), min_size=3, max_size=3), st.floats(60.0, 400.0))
+@settings(deadline=None)
+def test_what_is_to_be_done_takes_its_time_and_waits_come_on_top(stands: list[int], far_m: float) -> None:
+    """Stands are never cut short; meetings are met around them, and who waits does so longer where it stands anyway."""
+    stand_s = (float(stands[0]), float(stands[1]), 0.0)
+    busy = replace(flier("busy", 60.0, 60.0, 60.0), stand_s=stand_s)
+    far = flier("far", far_m, 600.0, 1200.0)
+    meetings = [Meeting("there", {0: 1, 1: 1}), goals(busy, far)]
+    (one, other), times = arrange([busy, far], meetings)
+    assert all(held >= stand for held, stand in zip(one.hold_s, stand_s, strict=True))
+    assert one.hold_s[0] > stand_s[0] + 10.0  # it waits there for the other, who has further to go from there on
+    assert one.hold_s[1:] == stand_s[1:]
+    assert other.hold_s == (0.0, 0.0, 0.0)
+    for k, place in enumerate((1, 3)):
+        assert abs(reached(busy, one)[place] - times[k]) <= 1.5
+        assert abs(reached(far, other)[place] - times[k]) <= 1.5
+    alone, _ = arrange([busy], [])
+    assert alone[0].hold_s == stand_s
+    assert alone[0].window_s[0] == pytest.approx(toy([60.0] * 3, (10.0,) * 3, stand_s)[-1])
