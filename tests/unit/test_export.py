@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pymavlink import mavwp
 
@@ -12,9 +14,15 @@ from adapters.mission_items import plan_items
 from adapters.plan_file import read_plan
 from adapters.waypoints_file import read_waypoints
 from missionplanner.errors import MissionError
+from missionplanner.plan import Action
 from missionplanner.vehicle import Autopilot
 from tests.mavsdk_importer import mavsdk_importer
 from tests.plans import fleet_plan, vehicle_plan
+
+ACTIONS = {
+    1: Action("T1.left", "T1", hold_s=3.0, look_at_m=(50.0, 80.0, 1230.0), photos=2),
+    2: Action(look_deg=(90.0, -45.0), photo_every_m=12.5),
+}
 
 
 def test_every_vehicle_gets_its_files_and_they_read_back(tmp_path: Path) -> None:
@@ -44,7 +52,7 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_mavsdk_imports_both_formats(tmp_path: Path, autopilot: Autopilot) -> None:
-    plan = fleet_plan(vehicle_plan(autopilot=autopilot))
+    plan = fleet_plan(replace(vehicle_plan(autopilot=autopilot), hold_s=np.array([5.0, 0.0]), actions=ACTIONS))
     export_fleet(plan, tmp_path)
     with mavsdk_importer(autopilot) as importer:
         from_plan = importer.import_qgroundcontrol_mission(str(tmp_path / "uav1.plan")).mission_items
@@ -62,17 +70,15 @@ def test_mavsdk_imports_both_formats(tmp_path: Path, autopilot: Autopilot) -> No
     assert [item.command for item in from_waypoints] == [
         16,
         *([16] if autopilot == "ardupilot" else []),
-        22,
-        178,
-        16,
-        16,
-        21,
+        *(item.command for item in items if item.seq > 0 or autopilot == "px4"),
     ]
+    photos = [item.param3 for item in from_waypoints if item.command == 2000]
+    assert photos == [1.0, 1.0]
 
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_pymavlink_counts_the_rows(tmp_path: Path, autopilot: Autopilot) -> None:
-    plan = fleet_plan(vehicle_plan(autopilot=autopilot))
+    plan = fleet_plan(replace(vehicle_plan(autopilot=autopilot), hold_s=np.array([5.0, 0.0]), actions=ACTIONS))
     export_fleet(plan, tmp_path)
     home_row = 0 if autopilot == "ardupilot" else 1
     assert mavwp.MAVWPLoader().load(str(tmp_path / "uav1.waypoints")) == home_row + len(
