@@ -455,7 +455,7 @@ class _Importer:
         chain: list[_Top] = []
         for k, (a, b) in enumerate(itertools.pairwise(tops)):
             span = self._on_known_ground(a, b) if self._near_span(xy_m[k], xy_m[k + 1]) else None
-            if span is not None and span[0] is a and chain:
+            if span is not None and chain:  # the last one ended at this support, so its ground is known
                 chain.append(span[1])
             else:
                 if len(chain) > 1:

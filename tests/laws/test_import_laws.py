@@ -75,18 +75,21 @@ def test_towers_without_a_line_are_ordered_along_it_one_way_or_the_other(towers:
     assert any("towers in order of" in note for note in made.notes)
 
 
-@given(towers=maps.routes(least=4), cut=st.integers(1, 18), turned=st.booleans())
-@settings(max_examples=15)
-def test_pieces_that_continue_each_other_are_one_line(towers: Towers, cut: int, turned: bool) -> None:
+@given(towers=maps.routes(least=4), cut=st.integers(1, 18), turned=st.tuples(st.booleans(), st.booleans()))
+@settings(max_examples=20)
+def test_pieces_that_continue_each_other_are_one_line(towers: Towers, cut: int, turned: tuple[bool, bool]) -> None:
     cut = min(cut, len(towers) - 2)
-    first, second = towers[: cut + 1], towers[cut:]
+    pieces = [towers[: cut + 1], towers[cut:]]
     with TemporaryDirectory() as folder:
-        one = maps.geojson(Path(folder) / "one.geojson", first)
-        two = maps.geojson(Path(folder) / "two.geojson", second[::-1] if turned else second)
-        _, mission = maps.imported(one, two)
+        paths = [
+            maps.geojson(Path(folder) / f"{k}.geojson", piece[::-1] if turned[k] else piece)
+            for k, piece in enumerate(pieces)
+        ]
+        _, mission = maps.imported(*paths)
     assert mission.inspection is not None
     assert len(mission.inspection.lines) == 1
-    assert same(maps.line_places(mission), towers)
+    found = maps.line_places(mission)
+    assert same(found[::-1] if turned[0] else found, towers)  # the first piece says which way the line goes
 
 
 @given(towers=maps.routes(), seed=st.integers(0, 9))

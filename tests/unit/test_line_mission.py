@@ -378,6 +378,23 @@ def test_towers_beyond_the_terrain_are_counted_and_named(tmp_path: Path) -> None
     build_check_scene(mission, tmp_path, [])
 
 
+def test_other_lines_are_cut_off_where_the_terrain_ends_and_go_on_where_it_begins_again(tmp_path: Path) -> None:
+    path = ground(tmp_path / "short.tif", east=1800.0)
+    out_and_back = line((1100, 300), (1400, 300), (2100, 300), (2100, 600), (1400, 600), (1100, 600), voltage="20000")
+    _, mission, _ = made_of(
+        MAIN, out_and_back, terrain=path, terrain_as_written=path, area_deg=area_deg(-100, -100, 1300, 100)
+    )
+    minor = [o for o in lines_of(mission).values() if o.cable_radius_m == 4]
+    assert [len(o.supports) for o in minor] == [3, 3]
+    scene = build_check_scene(mission, tmp_path, [])  # all supports have ground
+    for obstacle in minor:
+        xy_m = [FRAME.to_local(s.lat_deg or 0.0, s.lon_deg or 0.0, 0.0)[:2] for s in obstacle.supports]
+        east_m, height_m = max((xy[0], s.height_agl_m) for xy, s in zip(xy_m, obstacle.supports, strict=True))
+        assert 1700 < east_m < 1800
+        assert height_m == 16 + 20  # it may hang over a valley that nobody knows
+    assert scene.obstacles.names
+
+
 def test_swapped_coordinates_are_found_out_by_the_terrain(tmp_path: Path) -> None:
     path = ground(tmp_path / "ground.tif")
     swapped = MapFeature("line", MAIN.lat_lon_deg[:, ::-1].copy(), MAIN.tags, "map, line")
