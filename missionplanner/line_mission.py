@@ -624,6 +624,7 @@ class _Importer:
             across = np.array([-way[1], way[0]])
             for away_m, side in itertools.product(_HOME_AWAY_M, (1.0, -1.0)):
                 yield middles[k] + side * away_m * across
+        yield from self._around(center)
 
     def _around(self, home_m: FloatArray) -> Iterator[FloatArray]:
         steps = sorted(itertools.product(range(-8, 9), repeat=2), key=lambda s: (s[0] ** 2 + s[1] ** 2, s))

@@ -331,6 +331,10 @@ def on_level_ground(mission: Mission) -> Mission:
     return mission.model_copy(update={"terrain": FlatTerrain(kind="flat", alt_amsl_m=400.0)})
 
 
+def test_many_vehicles_find_room_beside_a_short_line() -> None:
+    assert len(made_of(line((0, 0), (250, 0)), vehicles=40)[1].vehicles) == 40
+
+
 def test_given_homes_are_kept_and_the_others_stand_beside_them() -> None:
     given_deg = [tuple(p) for p in places([(100.0, 200.0), (1500.0, -200.0)]).tolist()]
     _, mission, _ = made_of(MAIN, homes_deg=tuple(given_deg), vehicles=5)
