@@ -25,6 +25,7 @@ from missionplanner.scene import Scene
 from missionplanner.waypoints import passes
 
 _TEMPLATE = "vehicle.html"
+_HASH_SHOWN = 16
 _ENDS = {"land": "lands there", "rtl": "returns home and lands", "loiter": "stays there"}
 
 
@@ -195,7 +196,7 @@ def _facts(facts: Facts, v: VehicleFacts, settings: Vehicle) -> Iterator[tuple[s
     yield "files", f"files/{v.name}.plan, files/{v.name}.waypoints"
     certificate = facts.plan.certificate
     if certificate is not None and v.name in certificate.mission_sha256:
-        yield "mission, SHA-256", certificate.mission_sha256[v.name]
+        yield "mission, SHA-256", f"{certificate.mission_sha256[v.name][:_HASH_SHOWN]}..."
     yield "plan", f"{facts.plan.mission.name}, seed {facts.plan.seed}, missionplanner {facts.plan.software_version}"
 
 

@@ -428,6 +428,8 @@ def _label_towers(labels: Labels, facts: Sketch, mark_pt: float) -> None:
         return
     for top in towers.top_m:
         labels.avoid_mark(top, mark_pt)
+    for span in facts.scene.spans:
+        labels.avoid_line(span.curve_m)
     count = len(towers.names)
     order = [0, count - 1]
     for step in (10, 5, 2, 1):

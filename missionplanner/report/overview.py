@@ -13,6 +13,7 @@ from missionplanner.coverage import Coverage
 from missionplanner.inspection import InspectionPlan
 from missionplanner.plan import Trajectory, VehiclePlan
 from missionplanner.report import style
+from missionplanner.report.coverage import coverage_map
 from missionplanner.report.crew import clock, page_name
 from missionplanner.report.facts import Course, Facts, Sketch, collect
 from missionplanner.report.maps import TowerMark, inspection_map
@@ -237,6 +238,11 @@ def _pictures(
                 "From take-off to landing, darker where a target is looked at. Between rounds all have landed and "
                 "batteries are changed.",
                 "When each vehicle flies and inspects.",
+            )  # fmt: skip
+        if seen is not None:
+            yield picture(
+                "coverage", "What was seen", coverage_map(planned.scene, seen, tracks), "As recorded flights show it.",
+                "Map of the towers and spans by what flights have seen of them.",
             )  # fmt: skip
 
 
