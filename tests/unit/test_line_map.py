@@ -11,7 +11,7 @@ import pytest
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import LocalFrame
 from missionplanner.line_map import LineMap, Wire, read_line_map
-from missionplanner.map_tags import MapFeature
+from missionplanner.map_tags import LAYER, MapFeature
 
 FRAME = LocalFrame(47.0, 9.5)
 XY = tuple[float, float]
@@ -134,6 +134,19 @@ def test_a_table_names_the_lines_of_its_towers_and_a_tower_may_carry_two() -> No
         "B": [(200, -200), (200, 0), (200, 200)],
     }
     assert {wire.ordered_by for wire in found.wires} == {""}
+
+
+def test_towers_of_one_folder_are_one_line_where_none_is_drawn() -> None:
+    folders = {"110 kV Nord": 0.0, "Süd": 500.0}
+    towers = [tower(x, y, name=f"{x:g}", **{LAYER: name}) for name, y in folders.items() for x in (0, 200, 400)]
+    found = read_line_map(towers)
+    assert {wire.labels[0]: (along(found, wire)[0], wire.voltage_kv) for wire in found.wires} == {
+        "110 kV Nord": ((0, 0), 110.0),
+        "Süd": ((0, 500), None),
+    }
+    drawn = read_line_map([*towers, line([(0, 900), (200, 900)])])
+    assert len(drawn.wires) == 1
+    assert len(drawn.alone) == 6
 
 
 def test_a_tower_in_two_rows_is_one_with_the_greater_height_and_the_later_inspection() -> None:
