@@ -43,6 +43,7 @@ _CONTOUR_LABELS_APART_PX = 260.0
 _NAMED_VEHICLES = 14
 _NAMED_LEGS = 12
 _NUMBERED = 40
+_SAME_PLACE_M = 1.0
 _KINDS = {
     "cylinder": "mast or building",
     "cone": "peak",
@@ -370,7 +371,10 @@ def _label_vehicles(labels: Labels, facts: Sketch) -> None:
     homes = np.array([v.home_m for v in facts.vehicles])
     goals = np.array([v.waypoints_m[-1] for v in facts.vehicles])
     labels.place_group(names, colours, homes, f"{len(homes)} homes")
-    labels.place_group(names, colours, goals, f"{len(goals)} goals")
+    apart = np.flatnonzero(np.hypot(*(goals - homes)[:, :2].T) > _SAME_PLACE_M)
+    if apart.size:
+        told = [names[i] for i in apart], [colours[i] for i in apart]
+        labels.place_group(*told, goals[apart], f"{apart.size} goals")
 
 
 def _label_places(axes: Axes, labels: Labels, places_m: Mapping[str, FloatArray]) -> None:
