@@ -259,6 +259,7 @@ def fly(
 ) -> list[str]:
     """Fly all rounds one after the other, show what came of them, and return what is wrong with it."""
     from missionplanner.inspection_folder import round_folder
+    from missionplanner.report import write_inspection_report
 
     flown: list[FlownRound] = []
     flights = Flights()
@@ -278,6 +279,7 @@ def fly(
     seen = flights.measured(planned.scene)
     with stderr.status("writing what was seen"):
         files = write_coverage(folder, planned.scene, seen, flights, planned)
+        files["report"] = write_inspection_report(folder, planned, seen, flights.tracks)
     show(planned, folder, as_json, flown, seen, files)
     missed = [target for target in planned.inspected if target not in seen.done]
     if missed:

@@ -63,11 +63,19 @@ class _TargetRow:
 
 
 def write_inspection_report(
-    folder: Path, planned: InspectionPlan, seen: Coverage | None = None, tracks: Sequence[Trajectory] = ()
+    folder: Path,
+    planned: InspectionPlan,
+    seen: Coverage | None = None,
+    tracks: Sequence[Trajectory] = (),
 ) -> Path:
     """Write ``report.html`` and its pictures of a whole inspection into ``folder``, and return the page's path.
 
-    It links to the rounds' own reports, in ``round-K``. ``seen`` and ``tracks``: what its flights have shown, if any.
+    It links to the rounds' own reports and to their vehicles' pages, in ``round-K``, as far as they are there.
+
+    Parameters
+    ----------
+    seen : what its flights have shown, if there were any
+    tracks : where they went
 
     Raises
     ------
@@ -92,7 +100,7 @@ def write_inspection_report(
             *(f"not seen: {line}" for line in _missed(planned, seen)),
         ],
         tiles=tuple(_tiles(planned, rows, seen)),
-        sorties=tuple(_sorties(planned, rounds, rows)),
+        sorties=tuple(_sorties(folder, planned, rounds, rows)),
         targets=tuple(_targets(planned, rows)),
         seen=seen is not None,
         provenance=tuple(_provenance(planned)),
@@ -147,7 +155,9 @@ def _flies_s(vehicle: VehiclePlan) -> float:
     return float(vehicle.trajectory.t_s[-1]) - vehicle.start_delay_s
 
 
-def _sorties(planned: InspectionPlan, rounds: Sequence[Facts], rows: Sequence[TowerRow]) -> Iterator[_SortieRow]:
+def _sorties(
+    folder: Path, planned: InspectionPlan, rounds: Sequence[Facts], rows: Sequence[TowerRow]
+) -> Iterator[_SortieRow]:
     for number, facts in enumerate(rounds, start=1):
         for k, v in enumerate(facts.vehicles):
             own = [r for r in rows if r.sortie is not None and (r.sortie.round, r.sortie.vehicle) == (number, v.name)]
@@ -156,9 +166,9 @@ def _sorties(planned: InspectionPlan, rounds: Sequence[Facts], rows: Sequence[To
             yield _SortieRow(
                 round=number,
                 first=k == 0,
-                round_page=f"round-{number}/{REPORT_NAME}",
+                round_page=_there(folder, f"round-{number}/{REPORT_NAME}"),
                 vehicle=v.name,
-                vehicle_page=f"round-{number}/{page_name(v.name)}",
+                vehicle_page=_there(folder, f"round-{number}/{page_name(v.name)}"),
                 colour=_colour(planned, v.name),
                 targets=len({row.target for row in own}),
                 photos=sum(row.sortie.photos for row in own if row.sortie is not None),
@@ -168,6 +178,10 @@ def _sorties(planned: InspectionPlan, rounds: Sequence[Facts], rows: Sequence[To
                 battery="" if most is None else f"{most:.0%}",
                 proven=all(f.holds for f in facts.findings if v.name in (f.vehicle, *f.vehicle.split(" - "))),
             )
+
+
+def _there(folder: Path, page: str) -> str:
+    return page if (folder / page).exists() else ""
 
 
 def _targets(planned: InspectionPlan, rows: Sequence[TowerRow]) -> Iterator[_TargetRow]:
