@@ -231,5 +231,6 @@ def _turned(flown: Visit, asked: Visit) -> bool:
 def _remove_plan(folder: Path) -> None:
     """Remove what an earlier plan in this folder left that could be flown by mistake."""
     stale = [folder / name for name in (PLAN_NAME, CERTIFICATE_NAME, FLIGHT_NAME)]
-    for path in [*stale, *(folder / "files").glob("*.plan"), *(folder / "files").glob("*.waypoints")]:
+    exported = ("*.plan", "*.waypoints", "*.kmz", "*-litchi*.csv")
+    for path in [*stale, *(path for pattern in exported for path in (folder / "files").glob(pattern))]:
         path.unlink(missing_ok=True)
