@@ -15,7 +15,16 @@ from missionplanner.experiments.proof_oracle import Ground, Solids, solids_of
 from missionplanner.geodesy import FloatArray, LocalFrame
 from missionplanner.kernels import SpaceArrays, TerrainArrays
 from missionplanner.mission import RasterTerrain, load_mission
-from missionplanner.obstacles import CableSolid, ConeSolid, CylinderSolid, PrismSolid, Solid, SphereSolid, pack
+from missionplanner.obstacles import (
+    CableSolid,
+    ConeSolid,
+    CurtainSolid,
+    CylinderSolid,
+    PrismSolid,
+    Solid,
+    SphereSolid,
+    pack,
+)
 from missionplanner.scene import build_scene
 from missionplanner.terrain import GridReference, Rectangle, Terrain
 from missionplanner.terrain_bounds import Pyramid
@@ -182,7 +191,8 @@ def _solid(rng: np.random.Generator, land: Land, middle: FloatArray, half: float
             return PrismSolid(name, outline, floor, top if rng.random() < 0.7 else math.inf)
         case _:
             end = np.array([*(xy + rng.uniform(-200.0, 200.0, 2)), top + rng.uniform(-40.0, 40.0)])
-            return CableSolid(name, np.array([x, y, top]), end, rng.uniform(0.5, 10.0))
+            hung = CurtainSolid if number % 2 else CableSolid
+            return hung(name, np.array([x, y, top]), end, rng.uniform(0.5, 10.0))
 
 
 def random_legs(
