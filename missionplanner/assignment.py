@@ -590,6 +590,7 @@ class _Search:
             plan = self._run(choices, fleet, start)
             if plan is None or not self._overdrawn(plan):
                 return plan
+            start = plan
         return None
 
     def _overdrawn(self, plan: _Plan) -> bool:
@@ -831,7 +832,11 @@ class _Model:
             free.setdefault(vehicle, []).append(k)
         routes = []
         for route in plan:
-            clients = [self._index[(form,)] for form in route.forms]
+            clients, left = [], route.forms
+            while left:
+                size = next(n for n in range(len(left), 0, -1) if left[:n] in self._index)
+                clients.append(self._index[left[:size]])
+                left = left[size:]
             routes.append(pyvrp.Route(self.data, clients, free[route.vehicle].pop(0)))
         return pyvrp.Solution(self.data, routes)
 

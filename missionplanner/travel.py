@@ -181,6 +181,11 @@ class _Flier:
         return self.energy.power_share(math.hypot(*self.motion.wind_m_s), 0.0, 0.0, alt_amsl_m)
 
     @property
+    def reach_m(self) -> float:
+        """How far from home it may be at all: there and back, no faster than at its greatest speed."""
+        return math.inf if self.energy is None else 0.5 * self.speed_m_s / self.energy.level_share_s
+
+    @property
     def rules(self) -> _Rules:
         """What the kernel asks of ways."""
         model, margins, motion = self.energy, self.margins, self.motion
@@ -618,7 +623,7 @@ def _cruise(scene: Scene, flier: _Flier, ends: _Ends, tops_m: FloatArray) -> _Cr
     corners = _corners(scene, flier)
     wanted = len(places) + len(tops_m)
     points = np.concatenate([places, tops_m, corners])
-    first, second, all_looked_at = _pairs(points, len(places), len(tops_m))
+    first, second, all_looked_at = _pairs(points, len(places), len(tops_m), flier.reach_m)
     ways = _ways(scene.space, flier.rules, points[first], points[second])
     size = len(points)
     time_s, share = np.full((size, size), np.inf), np.full((size, size), np.inf)
@@ -633,8 +638,11 @@ def _cruise(scene: Scene, flier: _Flier, ends: _Ends, tops_m: FloatArray) -> _Cr
     )
 
 
-def _pairs(points: FloatArray, places: int, tops: int) -> tuple[IntArray, IntArray, bool]:
-    """Return which points to look straight across from one to the other; all, or all that are near and all homes."""
+def _pairs(points: FloatArray, places: int, tops: int, reach_m: float) -> tuple[IntArray, IntArray, bool]:
+    """Return which points to look straight across from one to the other, and whether that is all.
+
+    If not, each to those near it, and homes to all within reach.
+    """
     size = len(points)
     if size * (size - 1) // 2 <= _DIRECT_PAIRS:
         first, second = np.triu_indices(size, 1)
@@ -644,6 +652,8 @@ def _pairs(points: FloatArray, places: int, tops: int) -> tuple[IntArray, IntArr
     pairs = np.stack([np.repeat(np.arange(size), nearest + 1), near.ravel()], axis=1)
     homes = np.arange(places, places + tops)
     from_home = np.stack([np.repeat(homes, size), np.tile(np.arange(size), tops)], axis=1)
+    way = points[from_home[:, 1]] - points[from_home[:, 0]]
+    from_home = from_home[np.hypot(way[:, 0], way[:, 1]) <= reach_m]
     pairs = np.sort(np.concatenate([pairs, from_home]), axis=1)
     pairs = np.unique(pairs[pairs[:, 0] < pairs[:, 1]], axis=0)
     return pairs[:, 0], pairs[:, 1], False
@@ -714,7 +724,9 @@ def _home_shares(
     begins = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp)
     lowest = np.array([0.0, 0.0, flier.margins.height_agl_min_m])
     homes = np.broadcast_to(home_m + lowest, points.shape)
-    highest = _ways(scene.space, flier.rules, points, np.ascontiguousarray(homes))[:, _HIGHEST_M]
+    near = np.flatnonzero(np.hypot(*(points - home_m)[:, :2].T) <= flier.reach_m)
+    highest = np.full(len(points), -np.inf)
+    highest[near] = _ways(scene.space, flier.rules, points[near], np.ascontiguousarray(homes[near]))[:, _HIGHEST_M]
     stated = scene.mission.vehicles[_index(scene, flier)].return_height_m
     height = np.where(np.isfinite(highest), highest - home_m[2], flier.margins.height_agl_min_m)
     height = np.maximum(height, flier.margins.height_agl_min_m) if stated is None else np.full(len(points), stated)
