@@ -503,6 +503,7 @@ class _Tracked:
     lost: bool = False  # the autopilot has forgotten what was commanded
     failures: int = 0
     held_s: float | None = None  # since when it holds where its mission wants it
+    freed_s: float = -math.inf  # when it last ceased to
     bounds: tuple[tuple[float, float], tuple[float, float]] | None = None  # of its scale, and the wind they hold in
     stopped_s: float | None = None  # until when it is to stand, by our command (or it may: it did not answer)
     overdue_s: float | None = None  # since when it is to go on
@@ -621,6 +622,8 @@ class Pacer:
             tracked.reached_s.setdefault(waypoint, there_s)
         tracked.place = place_of(tracked.course, sighting.waypoint, tracked.seen.position_m)
         held = holds_at(tracked.course, tracked.place)
+        if tracked.held_s is not None and not held:
+            tracked.freed_s = tracked.seen.t_s
         tracked.held_s = (tracked.seen.t_s if tracked.held_s is None else tracked.held_s) if held else None
         away_m = math.inf if tracked.stands is None else math.dist(tracked.seen.position_m, tracked.stands[1])
         if held or (away_m > _MOVED_M and not (tracked.seen.paused and tracked.stands is not None)):
@@ -757,11 +760,11 @@ class Pacer:
         return "paused" if seen.paused or self._stands(tracked) else "flying"
 
     def _stands(self, tracked: _Tracked) -> bool:
-        """Whether a vehicle has stood still for some time."""
+        """Whether a vehicle has stood still for some time where its mission does not hold it."""
         if tracked.course.model.vehicle_class == "plane":
             return False
         last_s = tracked.moves[-1][0]
-        recent = [move for move in tracked.moves if move[0] >= last_s - _STILL_S]
+        recent = [move for move in tracked.moves if move[0] >= max(last_s - _STILL_S, tracked.freed_s)]
         if last_s - recent[0][0] < 0.8 * _STILL_S:
             return False
         return all(float(np.linalg.norm(velocity)) < _STILL_M_S for _, _, velocity in recent)

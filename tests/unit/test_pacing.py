@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -99,6 +99,26 @@ def test_nobody_is_late_while_it_holds_as_planned() -> None:
     assert lateness_s(held, place, come_s + 15.0) == 0.0
     assert lateness_s(held, place, leave_s + 3.0) == pytest.approx(3.0)
     assert lateness_s(held, place, come_s - 2.0) == pytest.approx(-2.0)
+
+
+def test_who_goes_on_after_a_hold_stood_still_as_planned() -> None:
+    """It stands for a moment more while it takes its photos: its mission is at the next waypoint by then."""
+    held = course(hold_s=[0.0, 6.0, 0.0, 0.0])
+    pacer = Pacer([held], lambda _i, _j: 0.0)
+    states = []
+    for tick in range(40):
+        t_s, waypoint = float(held.reached_s[2]) + 0.2 * tick, 2 if tick < 30 else 3
+        pacer.saw(0, Sighting(t_s, held.waypoints_m[2], np.zeros(3), waypoint, True, arrival_s=None))
+        *_, advice = _thought(pacer)
+        states.append(advice.paces[0].state)
+    assert states[20] == "holding"
+    assert states[31] == "flying"
+    assert "paused" not in states
+
+
+def _thought(pacer: Pacer) -> Iterator[Advice]:
+    advice = yield from pacer.deliberate()
+    yield advice
 
 
 def test_a_climb_counts_by_its_height() -> None:
