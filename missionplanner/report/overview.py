@@ -23,6 +23,7 @@ from missionplanner.report.shapes import shapes
 from missionplanner.tower_rows import TowerRow, tower_rows
 
 _TEMPLATE = "inspection.html"
+_REASONS_SHOWN = 40
 _ROW_IN = 0.3
 
 
@@ -85,6 +86,12 @@ def write_inspection_report(
     rows = tower_rows(planned, seen)
     rounds = [collect(r.scene, r.plan, None) for r in planned.rounds]
     troubles = [f"round {number}: {line}" for number, facts in enumerate(rounds, start=1) for line in facts.troubles]
+    missed = _missed(rows)
+    reasons = [
+        *troubles,
+        *(f"left out: {left.target}: {left.why}" for left in planned.left_out),
+        *(f"not seen: {line}" for line in missed),
+    ]
     return write_page(
         folder / REPORT_NAME,
         _TEMPLATE,
@@ -92,14 +99,11 @@ def write_inspection_report(
         mission=planned.scene.mission,
         eyebrow="Inspection",
         subject="plan" if seen is None else "plan and flight",
-        state="unclear" if troubles else "waived" if planned.left_out or _missed(planned, seen) else "clear",
+        state="unclear" if troubles else "waived" if reasons else "clear",
         headline=_headline(planned, troubles, seen),
-        reasons=[
-            *troubles,
-            *(f"left out: {left.target}: {left.why}" for left in planned.left_out),
-            *(f"not seen: {line}" for line in _missed(planned, seen)),
-        ],
-        tiles=tuple(_tiles(planned, rows, seen)),
+        reasons=reasons[:_REASONS_SHOWN],
+        reasons_left=max(0, len(reasons) - _REASONS_SHOWN),
+        tiles=tuple(_tiles(planned, rows, seen, missed)),
         sorties=tuple(_sorties(folder, planned, rounds, rows)),
         targets=tuple(_targets(planned, rows)),
         seen=seen is not None,
@@ -107,11 +111,8 @@ def write_inspection_report(
     )
 
 
-def _missed(planned: InspectionPlan, seen: Coverage | None) -> list[str]:
+def _missed(rows: Sequence[TowerRow]) -> list[str]:
     """Return what was planned to be seen, and was not, in words."""
-    if seen is None:
-        return []
-    rows = tower_rows(planned, seen)
     return [
         f"{row.visit}: {row.seen.why or 'not from all sides'}"
         for row in rows
@@ -134,21 +135,28 @@ def _headline(planned: InspectionPlan, troubles: Sequence[str], seen: Coverage |
     return f"{told}."
 
 
-def _tiles(planned: InspectionPlan, rows: Sequence[TowerRow], seen: Coverage | None) -> Iterator[Tile]:
+def _tiles(
+    planned: InspectionPlan, rows: Sequence[TowerRow], seen: Coverage | None, missed: Sequence[str]
+) -> Iterator[Tile]:
     short = planned.share < planned.share_min - 1e-9
     yield Tile(
         "inspected", f"{planned.share:.0%}", f"of the towers' weight; at least {planned.share_min:.0%}", bad=short
     )
     if seen is not None:
-        yield Tile("seen", f"{seen.share:.0%}", "of the towers' weight, by flights", bad=bool(_missed(planned, seen)))
+        yield Tile("seen", f"{seen.share:.0%}", "of the towers' weight, by flights", bad=bool(missed))
     if planned.left_out:
         yield Tile("left out", str(len(planned.left_out)), "targets, named below", bad=True)
-    yield Tile("rounds", str(len(planned.rounds)), f"{len(planned.tours)} sorties; batteries {planned.swap_s:g} s")
+    yield Tile("rounds", str(len(planned.rounds)), _sorties_words(planned))
     yield Tile("makespan", f"{planned.makespan_s / 60.0:.0f} min", "from the first start to the last landing")
     flying_s = sum(_flies_s(vehicle) for r in planned.rounds for vehicle in r.plan.vehicles)
     bound = f"no less than {planned.assignment.bound_s / 60.0:.0f} min" if planned.assignment.bound_s > 0.0 else ""
     yield Tile("flight time", f"{flying_s / 60.0:.0f} min", f"of all; {bound} is possible" if bound else "of all")
     yield Tile("photos", str(sum(row.sortie.photos for row in rows if row.sortie is not None)), "planned")
+
+
+def _sorties_words(planned: InspectionPlan) -> str:
+    count, between = len(planned.tours), f"; {planned.swap_s:g} s between them" if len(planned.rounds) > 1 else ""
+    return f"{count} {'sortie' if count == 1 else 'sorties'}{between}"
 
 
 def _flies_s(vehicle: VehiclePlan) -> float:

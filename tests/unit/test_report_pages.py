@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import replace
 from html import unescape
@@ -9,15 +10,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from missionplanner import coverage, energy
 from missionplanner.certificate import Certificate, Finding
 from missionplanner.errors import MissionError
 from missionplanner.inspection import InspectionPlan
 from missionplanner.plan import Action, FleetPlan, Trajectory
-from missionplanner.report import write_report
+from missionplanner.report import style, write_report
 from missionplanner.report.crew import write_vehicle_pages
 from missionplanner.report.facts import collect
+from missionplanner.report.maps import TowerMark, inspection_map
 from missionplanner.report.overview import write_inspection_report
 from missionplanner.scene import Scene
 from tests.inspections import inspection_by_hand
@@ -206,3 +209,15 @@ def test_a_folder_in_the_way_is_told(planned: InspectionPlan, tmp_path: Path) ->
     (tmp_path / "taken").write_text("a file")
     with pytest.raises(MissionError, match="taken"):
         write_inspection_report(tmp_path / "taken", planned)
+
+
+def test_a_tower_of_two_vehicles_has_both_colours(planned: InspectionPlan) -> None:
+    assert planned.scene.towers is not None
+    here_m = planned.scene.towers.top_m[1]
+    marks = [TowerMark(here_m, ("#ff0000", "#00ff00"), "planned")]
+    facts = collect(planned.rounds[0].scene, planned.rounds[0].plan, None)
+    with style.look():
+        figure = inspection_map(facts, (), marks)
+        pixels = np.asarray(imread(io.BytesIO(style.to_png(figure))))[..., :3]
+    for colour in ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]):
+        assert (np.abs(pixels - colour).max(axis=-1) < 0.02).sum() > 20
