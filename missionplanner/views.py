@@ -548,6 +548,7 @@ LOWEST_DEG = 55.0
 """How steeply a way along a span looks down on the lowest of its conductor, at most."""
 _FULL_SHARE = 0.9  # of a photo's height: nothing is aimed at that well
 _SPACING_STEP_M = 0.1
+_STAND_S = 1.0  # at both ends of a way: who flies through them bends the way between
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -723,7 +724,7 @@ def _way_visit(scene: Scene, lens: CameraModel | None, sight: SpanSight, conduct
     short_m = span_m - float(np.linalg.norm(leg[1] - leg[0]))
     if short_m > _MOVED_M:
         notes.append(f"{short_m:.0f} m shorter than the span")
-    action = Action(inspects=sight.span.name, look_deg=(heading_deg, pitch_deg))
+    action = Action(inspects=sight.span.name, hold_s=_STAND_S, look_deg=(heading_deg, pitch_deg))
     return Visit(
         name=sight.name,
         target=sight.span.name,

@@ -342,6 +342,8 @@ def test_a_span_is_flown_along_on_both_sides_parallel_to_the_line_from_top_to_to
     assert places(found["span T1-T2.left"]) == pytest.approx(np.array([[-30.0, 0.0, 137.0], [-30.0, 200.0, 147.0]]))
     assert places(found["span T2-T3.right"]) == pytest.approx(np.array([[30.0, 200.0, 147.0], [30.0, 400.0, 137.0]]))
     assert found["span T1-T2.left"].target == "span T1-T2"
+    # who stands still at both ends flies straight between them
+    assert all(viewpoint.action.hold_s == 1.0 for viewpoint in found["span T1-T2.left"].viewpoints)
 
 
 def test_photos_are_taken_on_the_way_along_a_span_so_that_the_nearest_conductors_overlap() -> None:
