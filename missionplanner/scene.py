@@ -451,17 +451,11 @@ class _Builder:
                 what = f"inspection.lines ({line.name}): {ends[1]}"
                 start, end = towers.top_m[first], towers.top_m[second]
                 hung = _hung(what, ("tower", f"{ends[0]}, the one before it"), start, end, line.catenary_m)
-                radius_m = line.conductor_radius_m or inspection.conductor_radius_m
-                name, lines, between = "span {}-{}".format(*ends), (line.name,), frozenset((first, second))
-                if between in found:
-                    same = found[between]
-                    name, lines, (first, second) = same.name, (*same.lines, line.name), same.towers
-                    before = same.conductor
-                    hung = replace(before.catenary, constant_m=max(before.catenary.constant_m, hung.constant_m))
-                    radius_m = max(before.radius_m, radius_m)
-                found[between] = Span(
-                    name, tuple(dict.fromkeys(lines)), (first, second), hung.chords_m(), Conductor(name, hung, radius_m)
-                )
+                name, radius_m = f"span {ends[0]}-{ends[1]}", line.conductor_radius_m or inspection.conductor_radius_m
+                conductor = Conductor(name, hung, radius_m)
+                span = Span(name, (line.name,), (first, second), hung.chords_m(), conductor)
+                between = frozenset((first, second))
+                found[between] = _shared(found[between], span) if between in found else span
         return tuple(found.values())
 
     def _everything(self) -> SpaceArrays:
@@ -802,6 +796,15 @@ def _hung(
             f"{before}, got {found.constant_m:g}: so slack it would hang to the ground"
         )
     return found
+
+
+def _shared(span: Span, other: Span) -> Span:
+    """Return the span of two circuits, or of a line that goes there and back: as wide and as tight as either."""
+    one, two = span.conductor, other.conductor
+    hung = replace(one.catenary, constant_m=max(one.catenary.constant_m, two.catenary.constant_m))
+    conductor = replace(one, catenary=hung, radius_m=max(one.radius_m, two.radius_m))
+    lines = tuple(dict.fromkeys((*span.lines, *other.lines)))
+    return replace(span, lines=lines, curve_m=hung.chords_m(), conductor=conductor)
 
 
 def _curtains(conductor: Conductor) -> Iterator[Solid]:
