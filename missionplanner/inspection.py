@@ -274,14 +274,16 @@ class _Search:
     def _rounds(self, found: Assignment) -> tuple[Round, ...]:
         rounds: list[Round] = []
         waiting = _by_round(found.tours)
+        later: tuple[Tour, ...] = ()  # of the first that waits: tours which cannot be flown together with its others
         while waiting:
-            tours, *waiting = waiting
-            number = len(rounds) + 1
             try:
-                rounds.append(self._round(tours, number))
+                rounds.append(self._round(waiting[0], len(rounds) + 1))
             except InfeasibleError as error:
-                stays, later = self._parted(tours, number, error)
-                waiting = [stays, later, *waiting]
+                waiting[0], moved = self._parted(waiting[0], len(rounds) + 1, error)
+                later += moved
+                continue
+            waiting[0:1] = [later] if later else []
+            later = ()
         return tuple(replace(r, tours=tuple(replace(tour, round=k) for tour in r.tours)) for k, r in enumerate(rounds))
 
     def _round(self, tours: Sequence[Tour], number: int) -> Round:
@@ -321,7 +323,10 @@ class _Search:
         self._problem = error
         if self._less_energy(tours, error):
             raise _ReassignError
-        if len(tours) > 1:
+        pair = isinstance(error, UnreturnableError) and len(error.vehicles) > 1
+        if pair and len(tours) > 1:
+            unable = []
+        elif len(tours) > 1:
             alone = [(tour, self._alone(tour, number)) for tour in tours]
             unable = [(tour, problem) for tour, problem in alone if problem is not None]
         else:
