@@ -67,6 +67,8 @@ _ROOM_M = 1.0
 _GENTLER, _GENTLEST_RAD = 0.7, math.radians(2.0)
 """How steeply a plane that was not proven climbs then, of how it did: a weak one lags behind a climb that is steep."""
 _AT_THE_SAME_M = 1.0
+_BESIDE_S = 2.0
+"""How long before and after a piece of a flight it is looked at, to know how it moves there."""
 _ROUTE_ROOM_M = 5.0
 """What the way around another's flight leaves of room at the route's own points, beyond the margin."""
 
@@ -174,7 +176,9 @@ class _Team:
         self._climb_rad = [task.limits.climb_angle_rad for task in scene.tasks]
         cuts = sum(len(pieces_of(task)) - 1 for task in scene.tasks)
         self._mends = _MENDS * (1 + cuts // _MENDED_PIECES)
-        self._returning: set[tuple[PlannedPath, Schedule]] = set()  # who is known to return by itself
+        # from which ways, and pieces of ways at which speeds, vehicles are known to return by themselves
+        self._returning: set[tuple[PlannedPath, Schedule]] = set()
+        self._fine: set[tuple[PlannedPath, tuple[float, ...]]] = set()
         self._overhead = _overhead(scene)
         self._avoided: list[list[Solid]] = [[] for _ in scene.tasks]
         self._detours: list[dict[int, FloatArray]] = [{} for _ in scene.tasks]
@@ -444,7 +448,7 @@ class _Team:
             return False
         if len(who) == 1:
             again = _pieces_at(self._paths[who[0]], plan.vehicles[who[0]], error.t_s, error.t_s)
-            return error.short_m > 0.0 and self._roomier(who[0], error.short_m, again)
+            return error.short_m > 0.0 and self._roomier(who[0], dict.fromkeys(again or [0], error.short_m))
         first, second = sorted(who)
         required_m = proof.required_apart_m(self._scene, self._scene.tasks[first], self._scene.tasks[second])
         required_m += max(_braking_m(self._scene.tasks[k]) for k in who)  # they brake, perhaps towards each other
@@ -461,16 +465,49 @@ class _Team:
             path = self._paths[index]
             if not path.pieces or (path, when) in self._returning:
                 continue
-            flights = proof.predict(self._scene, [proof.planned_sortie(self._scene, vehicle)])
-            try:
-                return_heights_m(self._scene, flights)
-                self._returning.add((path, when))
-            except UnreturnableError as error:
+            (flight,) = proof.predict(self._scene, [proof.planned_sortie(self._scene, vehicle)])
+            lacking_m = self._lacking_m(path, vehicle, flight)
+            if not lacking_m:
+                try:
+                    return_heights_m(self._scene, [flight])
+                    self._returning.add((path, when))
+                except UnreturnableError as error:
+                    if error.t_s is not None and error.short_m > 0.0:
+                        at = _pieces_at(path, vehicle, error.t_s, error.t_s)
+                        lacking_m = dict.fromkeys(at, error.short_m)
+            if lacking_m:
                 self._mends -= 1
-                if self._mends >= 0 and error.t_s is not None and error.short_m > 0.0:
-                    again = _pieces_at(path, vehicle, error.t_s, error.t_s)
-                    changed |= self._roomier(index, error.short_m, again)
+                changed |= self._mends >= 0 and self._roomier(index, lacking_m)
         return changed
+
+    def _lacking_m(self, path: PlannedPath, vehicle: VehiclePlan, flight: proof.Flight) -> dict[int, float]:
+        """Return, by piece of its way, by how much a vehicle that is told to return on it lacks room, where it does."""
+        whole = proof.returning(flight)
+        lacking: dict[int, float] = {}
+        first = 0
+        for k, (piece, begin_s, end_s) in enumerate(zip(path.pieces, *_spans_s(path, vehicle), strict=True)):
+            known = piece, tuple(vehicle.speeds_m_s[first : first + len(piece.waypoints_m) - 1].tolist())
+            first += len(known[1])
+            if known in self._fine:
+                continue
+            from_s = max(begin_s - _BESIDE_S, float(vehicle.reached_s[0]))
+            t_s = np.arange(from_s, max(from_s + 1.0, min(end_s + _BESIDE_S, whole.descends_s)), 0.1)
+            part = Trajectory(t_s - from_s, whole.trajectory.at(t_s))
+            alone = replace(whole, trajectory=part, airborne_s=0.0, descends_s=float(part.t_s[-1]))
+            try:
+                returns.choose_return_heights(
+                    self._scene.space,
+                    self._scene.terrain.bounds,
+                    self._scene.obstacles.names,
+                    [alone],
+                    lambda _i, _j: 0.0,
+                    [None],
+                )
+                self._fine.add(known)
+            except UnreturnableError as error:
+                if error.short_m > 0.0:
+                    lacking[k] = error.short_m
+        return lacking
 
     def give_room(self, problems: Sequence[Finding]) -> bool:
         """Plan those again, further off, whose own way is not proven; False where that cannot help."""
@@ -483,38 +520,25 @@ class _Team:
             again = _pieces_near(self._paths[index], [p for p in places_m if p is not None])
             if None in places_m:
                 again = list(range(len(self._paths[index].pieces)))
-            if not self._roomier(index, max([0.0, *(m for m in short_m if m < np.inf)]), again):
+            lacks_m = max([0.0, *(m for m in short_m if m < np.inf)])
+            if not self._roomier(index, dict.fromkeys(again or [0], lacks_m)):
                 return False
         return len(helped) == len(problems)
 
-    def _roomier(self, index: int, short_m: float, again: Collection[int]) -> bool:
-        """Plan pieces of one vehicle's way again, further off everything by what it lacks and a little more.
-
-        And all that are as near to something: what one lacks they are likely to lack as well.
-        """
+    def _roomier(self, index: int, short_m: Mapping[int, float]) -> bool:
+        """Plan pieces of one vehicle's way again, further off everything by what they lack and a little more."""
         wider_m = self._wider_m[index]
-        again = {*again, *self._tight(index, short_m + _ROOM_M)}
-        wider_m.update({k: wider_m.get(k, 0.0) + _ROOM_M + short_m for k in again or (0,)})
+        wider_m.update({k: wider_m.get(k, 0.0) + _ROOM_M + lacks_m for k, lacks_m in short_m.items()})
         if self._scene.tasks[index].motion.vehicle_class == "plane":
             legs = np.diff(self._paths[index].waypoints_m, axis=0)
             steepest_rad = float(np.arctan2(legs[:, 2], np.hypot(legs[:, 0], legs[:, 1])).max())
             self._climb_rad[index] = min(self._climb_rad[index], max(_GENTLER * steepest_rad, _GENTLEST_RAD))
         try:
-            path = self._path(index, self._avoided[index], self._fellows(index), again=again)
+            path = self._path(index, self._avoided[index], self._fellows(index), again=short_m)
             self._replace(index, path)
         except InfeasibleError:
             return False
         return True
-
-    def _tight(self, index: int, spare_m: float) -> list[int]:
-        """Return which pieces of a vehicle's way are not clear by so much more than they must be."""
-        task, path = self._scene.tasks[index], self._paths[index]
-        if not path.pieces:
-            return []
-        space = _with(self._scene.space, self._overhead)
-        clear = tubes_clear(space, self._scene.terrain.bounds, task.limits, polyline_legs(path.waypoints_m), spare_m)
-        owner = np.repeat(range(len(path.pieces)), [len(piece.waypoints_m) - 1 for piece in path.pieces])
-        return sorted(set(owner[~clear].tolist()))
 
 
 def _place_at(vehicle: VehiclePlan, t_s: float) -> int:
@@ -544,11 +568,16 @@ def _both_stand(plan: FleetPlan, conflict: Conflict) -> bool:
     return bool(np.linalg.norm(places[0] - places[1]) < conflict.required_m)
 
 
-def _pieces_at(path: PlannedPath, vehicle: VehiclePlan, begin_s: float, end_s: float) -> list[int]:
-    """Return which pieces of a vehicle's way are flown between two times; take-off and end belong to the outermost."""
+def _spans_s(path: PlannedPath, vehicle: VehiclePlan) -> tuple[FloatArray, FloatArray]:
+    """Return when the pieces (P,) of a vehicle's way begin and end, stands at both ends included."""
     ends = np.cumsum([0, *(len(piece.waypoints_m) - 1 for piece in path.pieces)])
     left_s = vehicle.reached_s + np.concatenate([[0.0], vehicle.hold_s])
-    from_s, until_s = vehicle.reached_s[ends[:-1]], left_s[ends[1:]]
+    return vehicle.reached_s[ends[:-1]], left_s[ends[1:]]
+
+
+def _pieces_at(path: PlannedPath, vehicle: VehiclePlan, begin_s: float, end_s: float) -> list[int]:
+    """Return which pieces of a vehicle's way are flown between two times; take-off and end belong to the outermost."""
+    from_s, until_s = _spans_s(path, vehicle)
     from_s[:1], until_s[-1:] = -np.inf, np.inf
     return [k for k, (a, b) in enumerate(zip(from_s, until_s, strict=True)) if a <= end_s and b >= begin_s]
 
