@@ -11,6 +11,7 @@ So a vehicle flies its longest sortie first, and what counts is the sum over rou
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +19,9 @@ from itertools import islice, pairwise
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 import pyvrp
+from pyvrp.exceptions import PenaltyBoundWarning
 from pyvrp.stop import MaxIterations
 from scipy.optimize import linear_sum_assignment
 
@@ -42,13 +45,14 @@ _ORDERS = 4  # ways to fly the visits of one target one after the other
 _SAME = 1e-9
 _PRIZE_MIN = 0.05  # of a mean weight: even what weighs nothing is inspected where there is time
 _REFINEMENTS = 4
-_PER_EXCHANGE = 10  # iterations of the solver take about as long as one exchange of targets
+_PER_EXCHANGE = 16  # iterations of the solver take about as long as one exchange of targets
 _DISTURBED = 4  # targets that are taken out together at most
 _NOISE, _HASTES = 0.3, (0.0, 0.5, 1.0, 1.0)
 _TRIES, _EVENER_TRIES, _FIRSTS = 12, 200, 2
 _EVEN_S = 10.0  # flight times that differ by less are equal
 _MEND = 0.995
-_MENDS = 6
+_MENDS = 4
+_OWN_MAX = 30_000_000  # ways, up to which the solver knows every vehicle's own home
 _ASCENTS, _MANY, _PATIENCE = 200, 600, 10
 
 
@@ -474,7 +478,8 @@ class _Search:
         self._rng = np.random.default_rng(seed)
         self.found = start
         self._score = problem.score(start)
-        self._spare = np.zeros(problem.vehicles)  # of each battery: what the solver cannot know of ways home
+        self._height_m = _return_heights_m(problem)  # what the solver takes tours to return at
+        self._spare = np.zeros(problem.vehicles)  # of each battery: what it still does not know of ways home
         visits = [visit for of in problem.targets.values() for visit in of]
         self._visits = {visit: _Choice(tuple((form,) for form in problem.forms[visit])) for visit in visits}
 
@@ -594,13 +599,18 @@ class _Search:
         return None
 
     def _overdrawn(self, plan: _Plan) -> bool:
-        """Whether a battery is not enough for some way home; the solver gets less of such then."""
-        found = False
-        for route, need in zip(plan, self._problem.needs(plan), strict=True):
-            over = need - self._problem.budget[route.vehicle]
-            if over > _SAME:
-                self._spare[route.vehicle] += over + 1.0 - _MEND
-                found = True
+        """Whether a battery is not enough for some way home; the solver reckons with more then."""
+        problem, found = self._problem, False
+        for route, need in zip(plan, problem.needs(plan), strict=True):
+            v, over = route.vehicle, need - problem.budget[route.vehicle]
+            if over <= _SAME:
+                continue
+            found = True
+            height_m = float(problem.costs.return_height_m[v, list(route.forms)].max())
+            if height_m > self._height_m[v]:
+                self._height_m[v] = height_m
+            else:
+                self._spare[v] += over + 1.0 - _MEND
         return found
 
     def _fleet(self, longest_s: Sequence[float]) -> list[tuple[int, float]]:
@@ -609,17 +619,35 @@ class _Search:
 
     def _run(self, choices: Sequence[_Choice], fleet: Sequence[tuple[int, float]], start: _Plan | None) -> _Plan | None:
         """Return what the solver finds, offering all that it finds on the way; None: no tours within the batteries."""
-        model = _Model(self._problem, choices, fleet, self._problem.budget - self._spare)
+        problem, budget = self._problem, self._problem.budget - self._spare
+        model = _Model(problem, choices, fleet, budget, self._height_m)
+        if start is not None and start == self.found:  # it is allowed, whatever the solver reckons
+            for route in start:
+                budget[route.vehicle] = max(budget[route.vehicle], model.taken(route) + _SHARE)
+            model = _Model(problem, choices, fleet, budget, self._height_m)
         watch = _Watch(model, self)
-        result = pyvrp.solve(
-            model.data,
-            MaxIterations(self._problem.settings.iterations),
-            seed=int(self._rng.integers(2**31)),
-            collect_stats=False,
-            params=pyvrp.SolveParams(ils=pyvrp.IteratedLocalSearchParams(callbacks=watch)),
-            initial_solution=None if start is None else model.encoded(start),
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", PenaltyBoundWarning)  # where too little is allowed, none is found
+            result = pyvrp.solve(
+                model.data,
+                MaxIterations(problem.settings.iterations),
+                seed=int(self._rng.integers(2**31)),
+                collect_stats=False,
+                params=pyvrp.SolveParams(ils=pyvrp.IteratedLocalSearchParams(callbacks=watch)),
+                initial_solution=None if start is None else model.encoded(start),
+            )
         return model.decoded(result.best) if result.best.is_feasible() else None
+
+
+def _return_heights_m(problem: _Problem) -> FloatArray:
+    """Return how high vehicles (V) return at most from what is nearer to their homes than to others'."""
+    costs = problem.costs
+    count = len(costs.forms)
+    away_s = np.array([costs.time_s[costs.model[v], costs.home(v), :count] for v in range(problem.vehicles)])
+    nearest = away_s.argmin(axis=0)
+    heights_m = costs.return_height_m
+    found: FloatArray = np.where(nearest == np.arange(problem.vehicles)[:, np.newaxis], heights_m, 0.0).max(axis=1)
+    return found
 
 
 class _Moves:
@@ -758,6 +786,7 @@ class _Model:
         choices: Sequence[_Choice],
         fleet: Sequence[tuple[int, float]],
         budget: FloatArray,
+        return_height_m: FloatArray,
     ) -> None:
         self._options = [option for choice in choices for option in choice.options]
         self._index = {option: k for k, option in enumerate(self._options)}
@@ -766,23 +795,24 @@ class _Model:
         count, vehicles = len(self._options), problem.vehicles
         first = np.array([option[0] for option in self._options] + [costs.home(v) for v in range(vehicles)])
         last = np.array([option[-1] for option in self._options] + [costs.home(v) for v in range(vehicles)])
-        times, shares = [], []
-        for m in range(len(costs.time_s)):
-            within_s, within = (
-                np.array([sum(of[m, a, b] for a, b in pairwise(o)) for o in self._options])
-                for of in (costs.time_s, costs.energy_share)
-            )
+        groups_of = [np.array([v]) for v in range(vehicles)]
+        if not costs.returns or vehicles * len(first) ** 2 > _OWN_MAX:  # vehicles of one model, then
+            groups_of = [np.flatnonzero(costs.model == m) for m in np.unique(costs.model)]
+        group_of = {int(v): g for g, own in enumerate(groups_of) for v in own}
+        times, self._shares = [], []
+        for own in groups_of:
+            m = int(costs.model[own[0]])
             time_s, share = costs.time_s[m][np.ix_(last, first)], costs.energy_share[m][np.ix_(last, first)]
-            time_s[:, :count] += within_s
-            share[:, :count] += within
+            for k, option in enumerate(self._options):
+                time_s[:, k] += sum(costs.time_s[m, a, b] for a, b in pairwise(option))
+                share[:, k] += sum(costs.energy_share[m, a, b] for a, b in pairwise(option))
             if costs.returns:
-                higher = np.maximum(costs.return_height_m[:, last[:count]].T - costs.top_height_m, 0.0)
-                share[:count, count:] += costs.top_share + costs.higher_share_m * higher
-                share[:count, count:] = np.maximum(share[:count, count:], costs.home_share[:, last[:count]].T)
+                self._add_returns(share, costs, own, return_height_m)
             np.fill_diagonal(time_s, 0.0)  # as the solver will have it
             np.fill_diagonal(share, 0.0)
             times.append(_whole(time_s, _TICK_S))
-            shares.append(_whole(share, _SHARE))
+            self._shares.append(_whole(share, _SHARE))
+        self._group_of = group_of
         clients: list[pyvrp.Client] = []
         groups: list[pyvrp.ClientGroup] = []
         for choice in choices:
@@ -805,18 +835,51 @@ class _Model:
             locations=[pyvrp.Location(0, 0) for _ in range(count + vehicles)],
             clients=clients,
             depots=[pyvrp.Depot(location=count + v) for v in range(vehicles)],
-            vehicle_types=[self._type(v, longest_s, float(budget[v]), int(costs.model[v])) for v, longest_s in fleet],
-            distance_matrices=shares,  # type: ignore[arg-type]  # as its stubs write numpy's types
+            vehicle_types=[self._type(v, longest_s, float(budget[v])) for v, longest_s in fleet],
+            distance_matrices=self._shares,  # type: ignore[arg-type]  # as its stubs write numpy's types
             duration_matrices=times,  # type: ignore[arg-type]
             groups=groups,
         )
 
-    def _type(self, vehicle: int, longest_s: float, budget: float, model: int) -> pyvrp.VehicleType:
+    def _add_returns(
+        self, share: FloatArray, costs: TravelCosts, own: npt.NDArray[np.intp], return_height_m: FloatArray
+    ) -> None:
+        """Let a tour take so much that it suffices for returning from everywhere on it, from no higher than given.
+
+        Every way takes at least by what returning becomes easier on it: then the whole takes at least what it takes up
+        to any place and home from there.
+        """
+        count, m = len(self._options), int(costs.model[own[0]])
+        for v in own.tolist():
+            higher = float(costs.higher_share_m[v])
+            home = costs.home_share[v] + higher * np.maximum(return_height_m[v] - costs.return_height_m[v], 0.0)
+            after = np.array([self._least_after(option, home, costs.energy_share[m]) for option in self._options])
+            share[:count, :count] = np.maximum(share[:count, :count], after[:, np.newaxis] - after)
+            top = costs.top_share[v] + higher * max(0.0, float(return_height_m[v] - costs.top_height_m[v]))
+            share[:count, count + v] = np.maximum(share[:count, count + v] + top, after)
+
+    @staticmethod
+    def _least_after(option: tuple[int, ...], home: FloatArray, share: FloatArray) -> float:
+        """Return what must be left after an option, so that it was enough for returning from everywhere on it."""
+        least, still = -math.inf, 0.0
+        for k in range(len(option) - 1, -1, -1):
+            least = max(least, float(home[option[k]]) - still)
+            still += float(share[option[k - 1], option[k]]) if k > 0 else 0.0
+        return least
+
+    def taken(self, route: _Route) -> float:
+        """Return what the solver reckons that a route takes of the battery."""
+        home = len(self._options) + route.vehicle
+        places = [home, *self._clients(route), home]
+        share = self._shares[self._group_of[route.vehicle]]
+        return sum(int(share[a, b]) for a, b in pairwise(places)) * _SHARE
+
+    def _type(self, vehicle: int, longest_s: float, budget: float) -> pyvrp.VehicleType:
         limited = math.isfinite(longest_s)
         return pyvrp.VehicleType(
             start_depot=vehicle,
             end_depot=vehicle,
-            profile=model,
+            profile=self._group_of[vehicle],
             max_distance=max(0, math.floor(budget / _SHARE)),
             unit_distance_cost=0,
             unit_duration_cost=1,
@@ -830,15 +893,16 @@ class _Model:
         free: dict[int, list[int]] = {}
         for k, (vehicle, _) in enumerate(self._fleet):
             free.setdefault(vehicle, []).append(k)
-        routes = []
-        for route in plan:
-            clients, left = [], route.forms
-            while left:
-                size = next(n for n in range(len(left), 0, -1) if left[:n] in self._index)
-                clients.append(self._index[left[:size]])
-                left = left[size:]
-            routes.append(pyvrp.Route(self.data, clients, free[route.vehicle].pop(0)))
+        routes = [pyvrp.Route(self.data, self._clients(route), free[route.vehicle].pop(0)) for route in plan]
         return pyvrp.Solution(self.data, routes)
+
+    def _clients(self, route: _Route) -> list[int]:
+        clients, left = [], route.forms
+        while left:
+            size = next(n for n in range(len(left), 0, -1) if left[:n] in self._index)
+            clients.append(self._index[left[:size]])
+            left = left[size:]
+        return clients
 
     def decoded(self, solution: pyvrp.Solution) -> _Plan:
         """Return a solution as a plan."""
@@ -850,10 +914,10 @@ class _Model:
         return tuple(routes)
 
 
-def _whole(values: FloatArray, unit: float) -> np.typing.NDArray[np.int64]:
+def _whole(values: FloatArray, unit: float) -> npt.NDArray[np.int64]:
     """Return values (...) in whole units, rounded up; what is infinite, as far more than any tour may take."""
     counted = np.where(np.isfinite(values), np.ceil(values / unit - 1e-9), _BLOCKED)
-    whole: np.typing.NDArray[np.int64] = np.minimum(counted, _BLOCKED).astype(np.int64)
+    whole: npt.NDArray[np.int64] = np.minimum(counted, _BLOCKED).astype(np.int64)
     return whole
 
 
