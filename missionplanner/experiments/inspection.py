@@ -497,8 +497,8 @@ def table(results: Results) -> str:
         f"travel took {fleet['travel_cpu_s']:.1f} s. Planned and proven are {fleet['planned_towers']} towers in "
         f"{len(fleet['rounds'])} rounds, a makespan of {fleet['planned_makespan_s']:.0f} s with "
         f"{fleet['planned_flight_s']:.0f} s of flight; planning took {fleet['planning_s']:.0f} s "
-        f"({fleet['planning_cpu_s']:.0f} s of the processor). Flights take {_spread(off)} more time than was reckoned "
-        f"when towers were shared out, and {_spread(off_share)} more of a battery."
+        f"({fleet['planning_cpu_s']:.0f} s of the processor). Against what was reckoned when towers were shared "
+        f"out, flights take {_spread(off)} of time and {_spread(off_share)} of a battery."
     )
     weights = [
         "| | mean weight | ours, mean gain | least | greatest | ours is as much or more |",
@@ -536,7 +536,7 @@ def table(results: Results) -> str:
     return joined(
         "# Two lines inspected",
         made,
-        f"{fleet['all']} towers of two lines of 110 kV near Bayreuth ({TOWER_M:g} m high, assumed), seen from both "
+        f"{fleet['all']} towers of {len(fleet['lines'])} lines of 110 kV near Bayreuth ({TOWER_M:g} m high, assumed), seen from both "
         f"sides; {len(fleet['homes'])} copters of {ENDURANCE_S / 60:.0f} minutes endurance beside the lines.",
         shared,
         planned,
@@ -597,13 +597,13 @@ def _bars(results: Results) -> Figure:
     left.barh(range(len(rows)), [fleet[way]["flight_s"] / 3600.0 for way, _ in rows], color="#0072b2", height=0.6)
     left.axvline(fleet["ours"]["bound_s"] / 3600.0, color="#d55e00", linewidth=1.0)
     left.set_yticks(range(len(rows)), [f"{name}\n{fleet[way]['towers']} towers" for way, name in rows], fontsize=7)
-    left.set_xlabel("flight time, h (line: no tours through all take less)", fontsize=7)
+    left.set_xlabel("flight time, h (line: bound through all towers)", fontsize=7)
     shares = [[p[way]["weight"] / p["weight_all"] for p in results.priorities] for way, _ in rows]
     right.barh(range(len(rows)), [100.0 * statistics.mean(s) for s in shares], color="#56b4e9", height=0.6)
     for row, values in enumerate(shares):
         right.plot([100.0 * v for v in values], [row] * len(values), "|", color="#333333", markersize=8)
     right.set_yticks(range(len(rows)), names, fontsize=7)
-    right.set_xlabel("priority collected by one sortie each, % of all (marks: sets)", fontsize=7)
+    right.set_xlabel("weight by one sortie each, % of all (marks: sets)", fontsize=7)
     for axes in (left, right):
         axes.set_ylim(len(rows) - 0.5, -0.5)
         _plain(axes)
