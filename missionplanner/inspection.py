@@ -26,8 +26,10 @@ from missionplanner.views import LeftOut, Viewpoint, Visit
 
 _NAME_MAX = 40
 _ATTEMPTS = 6
+_SPARE = 0.96
+"""Of what a tour may take of the battery: what it is expected to take, since planned ways are a little longer."""
 _TIGHTER, _LOOSER = 0.97, 0.8
-"""Of what a tour may take of the battery, once a vehicle's was not enough: what fits by its figures, or without any."""
+"""Of that, once a vehicle's battery was not enough: less than fits by its figures, or what is tried without any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,7 +243,7 @@ class _Search:
     _problem: InfeasibleError | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
-        self.budget = [1.0 - vehicle.reserve_share for vehicle in self.scene.mission.vehicles]
+        self.budget = [_SPARE * (1.0 - vehicle.reserve_share) for vehicle in self.scene.mission.vehicles]
 
     def plan(self) -> InspectionPlan:
         for _ in range(_ATTEMPTS):
