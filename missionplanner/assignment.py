@@ -10,6 +10,7 @@ So a vehicle flies its longest sortie first, and what counts is the sum over rou
 
 from __future__ import annotations
 
+import copy
 import math
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -660,11 +661,26 @@ class _Moves:
         self._routes = [*plan, *(_Route(v, ()) for v in free)]
         shape = (len(self._routes), len(problem.costs.forms))
         self._more_s, self._fits = np.full(shape, np.inf), np.zeros(shape, dtype=np.bool_)
-        for k, route in enumerate(self._routes):
-            more_s, more = self._more(route, problem.costs.time_s), self._more(route, problem.costs.energy_share)
-            self._more_s[k] = more_s.min(axis=0)
-            spare = problem.budget[route.vehicle] - float(problem.along(route, problem.costs.energy_share).sum())
-            self._fits[k] = more.min(axis=0) <= spare + _SAME
+        for k in range(len(self._routes)):
+            self._look_at(k)
+
+    def _look_at(self, k: int) -> None:
+        problem, route = self._problem, self._routes[k]
+        more = self._more(route, problem.costs.energy_share)
+        spare = problem.budget[route.vehicle] - float(problem.along(route, problem.costs.energy_share).sum())
+        self._more_s[k] = self._more(route, problem.costs.time_s).min(axis=0)
+        self._fits[k] = more.min(axis=0) <= spare + _SAME
+
+    def _with_route(self, k: int, route: _Route) -> _Moves:
+        """Return the same with another route."""
+        changed = copy.copy(self)
+        changed._routes = [*self._routes[:k], route, *self._routes[k + 1 :]]
+        changed._more_s, changed._fits = self._more_s.copy(), self._fits.copy()
+        changed._look_at(k)
+        return changed
+
+    def _plan(self) -> _Plan:
+        return tuple(route for route in self._routes if route.forms)
 
     def _more(self, route: _Route, of: FloatArray) -> FloatArray:
         """Return what each form (F) adds at each place of a route (K): (K, F)."""
@@ -697,18 +713,18 @@ class _Moves:
         visits = self._problem.targets[target]
         for first in visits[:_FIRSTS]:
             rest = [visit for visit in visits if visit != first]
-            for plan in islice(self._with_visit(first), None if rest else 1):
-                grown: _Plan | None = plan
+            for moves in islice(self._with_visit(first), None if rest else 1):
+                grown: _Moves | None = moves
                 for visit in rest:
                     assert grown is not None
-                    grown = next(_Moves(self._problem, grown)._with_visit(visit), None)
+                    grown = next(grown._with_visit(visit), None)
                     if grown is None:
                         break
                 if grown is not None:
-                    return grown
+                    return grown._plan()
         return None
 
-    def _with_visit(self, visit: int) -> Iterator[_Plan]:
+    def _with_visit(self, visit: int) -> Iterator[_Moves]:
         """Yield the plan with one more visit, in the tour first that it makes the least longer."""
         forms = list(self._problem.forms[visit])
         longer_s = np.where(self._fits[:, forms], self._more_s[:, forms], np.inf).min(axis=1)
@@ -717,8 +733,7 @@ class _Moves:
                 break
             longer = self._longer(k, visit)
             if longer is not None:
-                routes = (*self._routes[:k], longer, *self._routes[k + 1 :])
-                yield tuple(route for route in routes if route.forms)
+                yield self._with_route(k, longer)
 
     def _longer(self, k: int, visit: int) -> _Route | None:
         """Return a route with a visit, where it adds the least of some places at which the battery suffices."""
