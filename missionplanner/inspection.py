@@ -26,7 +26,7 @@ from missionplanner.views import LeftOut, Viewpoint, Visit
 
 _NAME_MAX = 40
 _ATTEMPTS = 6
-_SPARE = 0.96
+_SPARE = 0.93
 """Of what a tour may take of the battery: what it is expected to take, since planned ways are a little longer."""
 _TIGHTER, _LOOSER = 0.97, 0.8
 """Of that, once a vehicle's battery was not enough: less than fits by its figures, or what is tried without any."""
