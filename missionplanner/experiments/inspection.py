@@ -536,8 +536,9 @@ def table(results: Results) -> str:
     return joined(
         "# Two lines inspected",
         made,
-        f"{fleet['all']} towers of {len(fleet['lines'])} lines of 110 kV near Bayreuth ({TOWER_M:g} m high, "
-        f"assumed), seen from both sides; {len(fleet['homes'])} copters of {ENDURANCE_S / 60:.0f} minutes endurance beside the lines.",
+        f"{fleet['all']} towers of {len(fleet['lines'])} lines of 110 kV near Bayreuth ({TOWER_M:g} m high, assumed), "
+        f"seen from both sides; {len(fleet['homes'])} copters of {ENDURANCE_S / 60:.0f} minutes endurance beside "
+        "the lines.",
         shared,
         planned,
         "![Who flies where](map.png)",

@@ -225,6 +225,18 @@ def test_tiny_ones_are_solved_best(seed: int, returns: bool) -> None:
     assert sum(w for t, w in enumerate(weights) if f"T{t + 1}" in done) == most
 
 
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**31), st.integers(1, 3), st.booleans())
+def test_batteries_that_are_enough_are_enough_for_slow_returns(seed: int, vehicles: int, reversible: bool) -> None:
+    """Who returns slowly or from far away has it counted from everywhere, whatever else is flown after."""
+    rng = np.random.default_rng(seed)
+    visits = visits_of(5, 1, reversible=reversible)
+    costs = costs_of(visits, vehicles, rng, returns=True)
+    costs = replace(costs, home_share=3.0 * costs.home_share, return_height_m=2.0 * costs.return_height_m)
+    place = scene(5, vehicles, objective="makespan", sorties_max=3)
+    check(assign(place, visits, seed=seed, costs=costs), costs, place, 3)
+
+
 def test_the_same_seed_gives_the_same_bit_for_bit() -> None:
     """Another seed may not."""
     visits = visits_of(12, 2, reversible=False)
