@@ -381,7 +381,7 @@ def coverage(
         "done_before": [] if asked.planned is None else sorted(asked.planned.done),
     }
     if as_json:
-        print_json(summary | {"notes": list(seen.notes)} | {name: str(path) for name, path in files.items()})
+        print_json(summary | {"notes": list(seen.notes), "files": {name: str(path) for name, path in files.items()}})
     else:
         from missionplanner.summary import coverage_lines, coverage_table
 
