@@ -259,7 +259,6 @@ def fly(
 ) -> list[str]:
     """Fly all rounds one after the other, show what came of them, and return what is wrong with it."""
     from missionplanner.inspection_folder import round_folder
-    from missionplanner.report import write_inspection_report
 
     flown: list[FlownRound] = []
     flights = Flights()
@@ -279,7 +278,6 @@ def fly(
     seen = flights.measured(planned.scene)
     with stderr.status("writing what was seen"):
         files = write_coverage(folder, planned.scene, seen, flights, planned)
-        files["report"] = write_inspection_report(folder, planned, seen, flights.tracks)
     show(planned, folder, as_json, flown, seen, files)
     missed = [target for target in planned.inspected if target not in seen.done]
     if missed:
@@ -519,14 +517,22 @@ def _seen_before(question: Mission, path: Path, flown: Sequence[Path]) -> frozen
 def write_coverage(
     folder: Path, scene: Scene, found: Coverage, flights: Flights, planned: InspectionPlan | None
 ) -> dict[str, Path]:
-    """Write what was seen, as JSON, tables and a map; return their paths."""
+    """Write what was seen as JSON and as a map and, of an inspection, its tables and report; return their paths."""
     import json
 
     from missionplanner.files import write_atomic
+    from missionplanner.report import write_inspection_report
+    from missionplanner.report.coverage import coverage_map
+    from missionplanner.report.style import to_png
 
     path = folder / "coverage.json"
     write_atomic(path, json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n")
-    return {"coverage": path} | ({} if planned is None else write_towers(folder, planned, found))
+    files = {"coverage": path, "map": folder / "coverage.png"}
+    write_atomic(files["map"], to_png(coverage_map(scene, found, flights.tracks)))
+    if planned is not None:
+        files |= write_towers(folder, planned, found)
+        files["report"] = write_inspection_report(folder, planned, found, flights.tracks)
+    return files
 
 
 def write_towers(folder: Path, planned: InspectionPlan, seen: Coverage | None = None) -> dict[str, Path]:
