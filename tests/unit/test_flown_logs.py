@@ -17,9 +17,10 @@ from hypothesis import strategies as st
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from adapters.flown_logs import FlownLogs, read_flown
+from adapters.flown_logs import FlownLogs, read_flown, read_tracks
 from adapters.telemetry_log import parse_log
 from missionplanner.errors import MissionError
+from missionplanner.geodesy import FloatArray
 from missionplanner.plan import FleetPlan, VehiclePlan
 from missionplanner.replay import replay
 from missionplanner.vehicle import Autopilot
@@ -364,3 +365,55 @@ def test_one_bad_log_does_not_spoil_the_others(tmp_path: Path, plan: FleetPlan) 
         "sysid 77",
     ]
     assert found.notes == ("uav2 (sysid 2): not in the logs",)
+
+
+# --- tracks and photos, whatever the plan -----------------------------------------------------------------------------
+
+
+def photo(sysid: int, component: int, t_s: float, index: int, place: FloatArray, *, ardupilot: bool) -> Record:
+    """Return what a vehicle, or its camera, tells of a photo."""
+    codec = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=component)
+    point = FRAME.geo_point(place)
+    lat, lon, alt_m = round(point.lat_deg * 1e7), round(point.lon_deg * 1e7), point.alt_amsl_m
+    if ardupilot:
+        message: Any = mavlink.MAVLink_camera_feedback_message(
+            0, sysid, 0, index, lat, lon, alt_m, 30.0, 0.0, 0.0, 0.0, 0.0, mavlink.CAMERA_FEEDBACK_PHOTO, index
+        )
+    else:
+        message = mavlink.MAVLink_camera_image_captured_message(
+            0, 0, 1, lat, lon, round(alt_m * 1e3), 30_000, (1.0, 0.0, 0.0, 0.0), index, 1, b""
+        )
+    return t_s, bytes(message.pack(codec))
+
+
+def test_tracks_and_photos_of_any_flight(tmp_path: Path, plan: FleetPlan) -> None:
+    """Photos count once though a log repeats them; a vehicle that tells of none has none that are known."""
+    one, two = plan.vehicles
+    flown = {v.sysid: records(v) for v in plan.vehicles}
+    ardupilot = one.autopilot == "ardupilot"
+    taken = [photo(1, 1 if ardupilot else 100, t_s, k, one.trajectory.at(t_s), ardupilot=ardupilot)
+             for k, t_s in enumerate((20.0, 30.0))]  # fmt: skip
+    repeated = (taken[1][0] + 0.3, taken[1][1])
+    (tmp_path / "all.tlog").write_bytes(logged([*flown[1], *flown[2], *taken, repeated]))
+    tracks, notes = read_tracks([tmp_path / "all.tlog"], FRAME)
+    assert not notes
+    assert [track.sysid for track in tracks] == [1, 2]
+    first, second = tracks
+    assert second.photos is None
+    assert first.photos is not None
+    assert first.photos.position_m == pytest.approx(one.trajectory.at(np.array([20.0, 30.0])), abs=0.02)
+    assert first.photos.t_s == pytest.approx([20.0 + STAND_S, 30.0 + STAND_S], abs=0.01)
+    # positions are those flown, as fine as a log tells them
+    for track, vehicle in zip(tracks, (one, two), strict=True):
+        planned_m = vehicle.trajectory.at(track.trajectory.t_s - STAND_S)
+        assert track.trajectory.position_m == pytest.approx(planned_m, abs=0.02)
+
+
+def test_logs_without_positions_hold_no_tracks(tmp_path: Path) -> None:
+    codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    beat = bytes(mavlink.MAVLink_heartbeat_message(2, 3, 0, 0, 4, 3).pack(codec))
+    (tmp_path / "beats.tlog").write_bytes(logged([(0.0, beat)]))
+    with pytest.raises(MissionError, match="expected vehicles' positions"):
+        read_tracks([tmp_path / "beats.tlog"], FRAME)
+    with pytest.raises(MissionError, match=r"gone\.tlog"):
+        read_tracks([tmp_path / "gone.tlog"], FRAME)
