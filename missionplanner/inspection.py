@@ -60,9 +60,10 @@ class InspectionPlan:
 
     @property
     def inspected(self) -> tuple[str, ...]:
-        """The targets that the rounds inspect, in the order of the visits."""
-        flown = {visit.target for tour in self.tours for visit in tour.visits}
-        return tuple(dict.fromkeys(visit.target for visit in self.visits if visit.target in flown))
+        """The targets all of whose visits the rounds fly, in the order of the visits."""
+        flown = {visit.name for tour in self.tours for visit in tour.visits}
+        missed = {visit.target for visit in self.visits if visit.name not in flown}
+        return tuple(dict.fromkeys(visit.target for visit in self.visits if visit.target not in missed))
 
     @property
     def tours(self) -> tuple[Tour, ...]:
