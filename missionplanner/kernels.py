@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from missionplanner.compiled import njit
 
 FloatArray = npt.NDArray[np.float64]
 

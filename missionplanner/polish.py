@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from missionplanner import kernels
+from missionplanner.compiled import njit
 from missionplanner.cost import Price
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import PriceSettings, SpaceArrays

@@ -17,9 +17,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from missionplanner import kernels
+from missionplanner.compiled import njit
 from missionplanner.kernels import FloatArray, ObstacleArrays, PriceSettings, SpaceArrays, TerrainArrays, kernel, leaf
 
 # Rows of `shift`, `worst` and `scale`: kinds of limits with one multiplier per sample.

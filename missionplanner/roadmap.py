@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from missionplanner import kernels
+from missionplanner.compiled import njit
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import ObstacleArrays, SpaceArrays
 from missionplanner.taut import INNER, LEAF, OUTER, Rules, leg_length, leg_ok

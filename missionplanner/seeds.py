@@ -20,10 +20,10 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from missionplanner import kernels
 from missionplanner.clearance import STEP_M, Margins, legs_clear, legs_within_angles, polyline_legs
+from missionplanner.compiled import njit
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays

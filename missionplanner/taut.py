@@ -13,10 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from missionplanner import kernels
 from missionplanner.clearance import STEP_M
+from missionplanner.compiled import njit
 from missionplanner.geodesy import FloatArray
 from missionplanner.kernels import SpaceArrays
 

@@ -12,8 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from missionplanner.compiled import njit
 from missionplanner.geodesy import FloatArray
 
 LegsClear = Callable[[FloatArray], npt.NDArray[np.bool_]]

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numba import njit
 
+from missionplanner.compiled import njit
 from missionplanner.cost import Price
 from missionplanner.errors import MissionError
 from missionplanner.experiments import uav_objective

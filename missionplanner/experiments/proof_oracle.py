@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import rasterio
-from numba import njit
 from pyproj import CRS, Transformer
 
+from missionplanner.compiled import njit
 from missionplanner.geodesy import FloatArray
 from missionplanner.obstacles import CableSolid, ConeSolid, CurtainSolid, CylinderSolid, PrismSolid, Solid, SphereSolid
 

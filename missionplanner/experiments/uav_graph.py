@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from missionplanner.compiled import njit
 from missionplanner.experiments.uav_objective import (
     FREE_DEG,
     HIGH_M,

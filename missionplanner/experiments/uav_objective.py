@@ -29,8 +29,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from missionplanner.compiled import njit
 from missionplanner.cost import THREADS
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from missionplanner.clearance import Margins, legs_clear
+from missionplanner.compiled import njit
 from missionplanner.errors import MissionError
 from missionplanner.experiments.uav_objective import read_arrays
 from missionplanner.geodesy import FloatArray

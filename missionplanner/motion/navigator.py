@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from missionplanner.compiled import njit
 from missionplanner.errors import InfeasibleError
 from missionplanner.geodesy import FloatArray
 from missionplanner.motion import arducopter, plane, px4

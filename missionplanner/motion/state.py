@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from missionplanner.compiled import njit
 from missionplanner.vehicle import ArducopterTuning, MotionModel, Px4Tuning
 
 FloatArray = npt.NDArray[np.float64]
