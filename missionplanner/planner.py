@@ -69,6 +69,8 @@ _GENTLER, _GENTLEST_RAD = 0.7, math.radians(2.0)
 _AT_THE_SAME_M = 1.0
 _BESIDE_S = 2.0
 """How long before and after a piece of a flight it is looked at, to know how it moves there."""
+_STORED_M = 0.1
+"""Room that pieces leave on the ways home: autopilots round altitudes that they store, which is proven as well."""
 _ROUTE_ROOM_M = 5.0
 """What the way around another's flight leaves of room at the route's own points, beyond the margin."""
 
@@ -483,6 +485,8 @@ class _Team:
     def _lacking_m(self, path: PlannedPath, vehicle: VehiclePlan, flight: proof.Flight) -> dict[int, float]:
         """Return, by piece of its way, by how much a vehicle that is told to return on it lacks room, where it does."""
         whole = proof.returning(flight)
+        limits = replace(whole.limits, tracking_error_m=whole.limits.tracking_error_m + _STORED_M)
+        whole = replace(whole, limits=limits)
         lacking: dict[int, float] = {}
         first = 0
         for k, (piece, begin_s, end_s) in enumerate(zip(path.pieces, *_spans_s(path, vehicle), strict=True)):
