@@ -10,11 +10,14 @@ from __future__ import annotations
 import hashlib
 import shutil
 from pathlib import Path
+from typing import Any
 
-from numba import config, njit
+import numba
+from numba import njit
 
 __all__ = ["njit"]
 
+_config: Any = numba.config  # its settings are made as it is read
 _MARKS = (b"njit", b"@kernel", b"@leaf")
 _PREFIX = "compiled-"
 _KEPT = 3  # folders of other versions: who goes to and fro between two does not compile anew each time
@@ -28,7 +31,7 @@ def _folder() -> Path:
         content = path.read_bytes()
         if any(mark in content for mark in _MARKS):
             digest.update(path.relative_to(package).as_posix().encode() + b"\0" + content)
-    base = Path(config.CACHE_DIR) if config.CACHE_DIR else package / "__pycache__"
+    base = Path(_config.CACHE_DIR) if _config.CACHE_DIR else package / "__pycache__"
     return base / f"{_PREFIX}{digest.hexdigest()[:16]}"
 
 
@@ -47,4 +50,4 @@ def _keep(folder: Path) -> None:
 
 _cache = _folder()
 _keep(_cache)
-config.CACHE_DIR = str(_cache)
+_config.CACHE_DIR = str(_cache)

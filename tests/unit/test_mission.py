@@ -81,7 +81,7 @@ def test_missions_made_in_python_share_defaults_too() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "field", "problem"),
     [
-        ("goal: {x_m: 500, y_m: 60, alt_amsl_m: 150}\n", "end: land\n", "vehicles[1].goal", "expected this field, got "),
+        ("goal: {x_m: 500, y_m: 60, alt_amsl_m: 150}\n", "end: land\n", "vehicles[1].goal", "expected this field, got"),
         ("max: 9", "maks: 9", "vehicles[1].speed_m_s.maks", "expected a known field, got 'maks': did you mean max?"),
         ("obstacle_m: 4", "zzz: 4", "vehicles[1].safety.zzz", "expected a known field, got 'zzz': known are terrain_m"),
         ("max: 9", "min: 18, max: 12", "vehicles[1].speed_m_s", "expected 0 < min <= max, got min 18.0 and max 12.0"),
