@@ -104,6 +104,7 @@ _EXHAUSTIVE = 8
 """Fleets of up to so many vehicles get the lowest heights found in so many tries, larger ones the first."""
 
 _REMEDY = "give the obstacle a top, move the home, or set fleet.direct_return: waived"
+_REMEDY_TOPPED = "look and stop further from it (views.distance_m), move the home, or set fleet.direct_return: waived"
 
 
 class UnreturnableError(InfeasibleError):
@@ -1208,7 +1209,7 @@ def _alone(space: SpaceArrays, bounds: Pyramid, names: Sequence[str], track: _Tr
         what = _named(space, names, solid)
         keeps = f"at least {distance_m:.1f} m {'from' if solid < len(names) else 'inside the'} {what} {_PARTS[part]}"
         place = track.place(node, alt_amsl_m) if node >= 0 else _position(track.home_m)
-        finding = track.finding(node, keeps, distance_m, limits.obstacle_margin_m, _REMEDY)
+        finding = track.finding(node, keeps, distance_m, limits.obstacle_margin_m, _remedy(space, solid))
         found.append(replace(finding, to=what, position_m=place))
     room_m = limits.alt_amsl_max_m - track.radius_m - track.top_amsl_m(alt_amsl_m)
     if math.isfinite(room_m):
@@ -1221,6 +1222,12 @@ def _named(space: SpaceArrays, names: Sequence[str], solid: int) -> str:
     if solid < len(names):
         return names[solid]
     return "fence" if space.fence.shape[0] else "area"
+
+
+def _remedy(space: SpaceArrays, solid: int) -> str:
+    """Return what helps who cannot return past a solid: what has a top already is not to be given one."""
+    bound = space.obstacles.bound
+    return _REMEDY_TOPPED if solid < len(bound) and math.isfinite(bound[solid, 4]) else _REMEDY
 
 
 def _position(at: FloatArray) -> Position:
@@ -1338,7 +1345,8 @@ class _Choice:
             what = f"{_named(self._space, self._names, solid)} is {found:.1f} m off {_PARTS[part]}"
             solids = self._space.obstacles
             if part != _WAY or solid == len(self._names) or not math.isfinite(solids.bound[solid, 4]):
-                raise self._blocked(k, node, what, need_m - found if part == _CLIMB else 0.0)
+                short_m = need_m - found if part == _CLIMB else 0.0
+                raise self._blocked(k, node, what, short_m, _remedy(self._space, solid))
             if (
                 alt > solids.bound[solid, 4] + need_m + track.radius_m + _LEVEL_M
             ):  # above it, and still near: a plane's way
@@ -1361,11 +1369,11 @@ class _Choice:
             short_m if math.isfinite(short_m) else 0.0,
         )
 
-    def _blocked(self, k: int, node: int, why: str, short_m: float = 0.0) -> UnreturnableError:
+    def _blocked(self, k: int, node: int, why: str, short_m: float = 0.0, remedy: str = _REMEDY) -> UnreturnableError:
         track = self._tracks[k]
         t_s = track.time_s(node) if node >= 0 else None
         told = "" if t_s is None else f" when told to at {t_s:.0f} s"
-        message = f"{track.vehicle.name}: expected a height to return at from everywhere{told}, but {why}: {_REMEDY}"
+        message = f"{track.vehicle.name}: expected a height to return at from everywhere{told}, but {why}: {remedy}"
         return UnreturnableError(message, (track.vehicle.name,), t_s, short_m)
 
     # --- apart

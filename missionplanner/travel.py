@@ -537,8 +537,8 @@ def _ends(forms: Sequence[Visit]) -> _Ends:
     return _Ends(
         first_m=np.array([p[0] for p in points]).reshape(-1, 3),
         last_m=np.array([p[-1] for p in points]).reshape(-1, 3),
-        first_stands=np.array([form.viewpoints[0].action.hold_s > 0.0 for form in forms], dtype=np.bool_),
-        last_stands=np.array([form.viewpoints[-1].action.hold_s > 0.0 for form in forms], dtype=np.bool_),
+        first_stands=np.array([form.viewpoints[0].action.stand_s > 0.0 for form in forms], dtype=np.bool_),
+        last_stands=np.array([form.viewpoints[-1].action.stand_s > 0.0 for form in forms], dtype=np.bool_),
         first_course=np.array([course(p[0], p[min(1, len(p) - 1)]) for p in points]).reshape(-1, 2),
         last_course=np.array([course(p[max(0, len(p) - 2)], p[-1]) for p in points]).reshape(-1, 2),
     )
@@ -582,21 +582,21 @@ def _ramps_s(flier: _Flier, way_m: FloatArray, cruise_s: FloatArray) -> FloatArr
 def _inspection(scene: Scene, flier: _Flier, form: Visit) -> tuple[float, float, FloatArray]:
     """Return what a form takes: time, share of the battery, and what of that is still to come at its viewpoints."""
     points = np.array([viewpoint.position_m for viewpoint in form.viewpoints])
-    hold_s = np.array([viewpoint.action.hold_s for viewpoint in form.viewpoints])
+    stand_s = np.array([viewpoint.action.stand_s for viewpoint in form.viewpoints])
     standing = flier.standing_share_s(points[:, 2])
-    held = hold_s * standing
+    held = stand_s * standing
     if len(points) == 1:
-        return float(hold_s[0]), float(held[0]), np.zeros(1)
+        return float(stand_s[0]), float(held[0]), np.zeros(1)
     ways = _ways(scene.space, flier.rules, points[:-1], points[1:])
     way = np.diff(points, axis=0)
-    stands = hold_s > 0.0
+    stands = stand_s > 0.0
     slows = np.ones(len(points))  # the first and the last belong to the ways to and from there
     slows[1:-1] = _slows(stands[1:-1], way[:-1, :2], _courses(way[1:, :2]))
     slows[0], slows[-1] = float(stands[0]), float(stands[-1])
     ramp_s = _ramps_s(flier, way, ways[:, _THERE_S]) * 0.5 * (slows[:-1] + slows[1:])
     legs = ways[:, _THERE_SHARE] + ramp_s * standing[1:]
     each = np.concatenate([[0.0], legs]) + held
-    time_s = float((ways[:, _THERE_S] + ramp_s).sum() + hold_s.sum())
+    time_s = float((ways[:, _THERE_S] + ramp_s).sum() + stand_s.sum())
     return time_s, float(each.sum()), float(each.sum()) - np.cumsum(each)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from missionplanner.errors import InfeasibleError
 from missionplanner.motion.navigator import Navigator
-from missionplanner.obstacles import CableSolid, CylinderSolid, PrismSolid, SphereSolid
+from missionplanner.obstacles import CableSolid, CurtainSolid, CylinderSolid, PrismSolid, SphereSolid
 from missionplanner.plan import Trajectory
 from missionplanner.returns import Returning, choose_return_heights, prove_returns
 from missionplanner.terrain_bounds import pyramid
@@ -151,6 +151,20 @@ def test_a_cable_overhead_bars_the_climb() -> None:
     below = flight("alpha", (0, 0), [(0, 0, 140), (300, 0, 140)])
     assert proven(space_of([cable]), [below], [50.0])["alpha"]
     assert not proven(space_of([cable]), [below], [150.0])["alpha"]
+
+
+def test_what_has_a_top_is_not_to_be_given_one() -> None:
+    below = flight("alpha", (0, 0), [(0, 0, 140), (300, 0, 140)])
+    cable = CableSolid("ropeway", np.array([150.0, -200.0, 220.0]), np.array([150.0, 200.0, 220.0]), 3.0)
+    curtain = CurtainSolid("span T1-T2", np.array([150.0, -200.0, 150.0]), np.array([150.0, 200.0, 150.0]), 3.0)
+    for solid in (cable, curtain):
+        (finding,) = prove_returns(*space_of([solid]), at_heights([below], [150.0]), apart_m)
+        assert not finding.proven
+        assert "further from it (views.distance_m)" in str(finding)
+        assert "a top" not in str(finding)
+    area = PrismSolid("camp", around(150, 0, 50), -math.inf, math.inf)
+    (finding,) = prove_returns(*space_of([area]), at_heights([below], [150.0]), apart_m)
+    assert "give the obstacle a top" in str(finding)
 
 
 def holding() -> Returning:

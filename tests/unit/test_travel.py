@@ -32,9 +32,9 @@ def scene(*, vehicles: Sequence[dict[str, Any]] | None = None, **changes: Any) -
     return open_scene(data | changes)
 
 
-def visit(name: str, *points: tuple[float, float], hold_s: float = 3.0, z: float = HEIGHT_M) -> Visit:
+def visit(name: str, *points: tuple[float, float], hold_s: float = 3.0, z: float = HEIGHT_M, photos: int = 0) -> Visit:
     """Return a visit of a target of the same name."""
-    viewpoints = tuple(Viewpoint(np.array([x, y, z]), Action(name, name, hold_s)) for x, y in points)
+    viewpoints = tuple(Viewpoint(np.array([x, y, z]), Action(name, name, hold_s, photos=photos)) for x, y in points)
     return Visit(name, name, viewpoints, reversible=len(points) > 1)
 
 
@@ -49,7 +49,7 @@ def flown(scene: Scene, visits: Sequence[Visit], costs: TravelCosts) -> tuple[fl
     top = task.home_m + np.array([0.0, 0.0, costs.top_height_m[0]])
     stops = [viewpoint for v in visits for viewpoint in v.viewpoints]
     points = np.array([top, *(viewpoint.position_m for viewpoint in stops), top])
-    hold_s = [*(viewpoint.action.hold_s for viewpoint in stops), 0.0]
+    hold_s = [*(viewpoint.action.stand_s for viewpoint in stops), 0.0]
     flight, _ = timing.predict_flight(
         task.motion, task.home_m, points, task.limits.speed_max_m_s, hold_s=hold_s, end="land", ground_amsl_m=0.0
     )
@@ -74,6 +74,18 @@ def test_a_tour_takes_what_its_predicted_flight_takes(autopilot: str, wind: dict
     time_s, share, flown_s, used = flown(place, visits, travel_costs(place, visits))
     assert time_s == pytest.approx(flown_s, rel=0.03)
     assert share == pytest.approx(used, rel=0.03)
+
+
+def test_a_vehicle_stands_still_for_its_photos_too() -> None:
+    """Ten photos at each of two places: the time and the energy that these take."""
+    place = scene()
+    visits = [visit("a", (300.0, 40.0), photos=10), visit("b", (600.0, 0.0), (640.0, 0.0), photos=10)]
+    costs = travel_costs(place, visits)
+    time_s, share, flown_s, used = flown(place, visits, costs)
+    assert time_s == pytest.approx(flown_s, rel=0.03)
+    assert share == pytest.approx(used, rel=0.03)
+    none = travel_costs(place, [visit("a", (300.0, 40.0)), visit("b", (600.0, 0.0), (640.0, 0.0))])
+    assert costs.inspection_s[0, :2] - none.inspection_s[0, :2] == pytest.approx([10.0, 20.0])
 
 
 def test_who_passes_without_a_hold_hardly_slows_down() -> None:
