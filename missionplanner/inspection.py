@@ -21,7 +21,7 @@ from missionplanner.mission import Area, Direction, Fleet, Inspection, Mission, 
 from missionplanner.plan import FleetPlan
 from missionplanner.planner import UnprovenError, Watch
 from missionplanner.returns import UnreturnableError
-from missionplanner.scene import Scene, build_check_scene, build_scene
+from missionplanner.scene import Scene, build_open_scene, build_scene
 from missionplanner.views import LeftOut, Viewpoint, Visit
 
 _NAME_MAX = 40
@@ -81,6 +81,8 @@ class InspectionPlan:
         asked = {visit.target for visit in self.visits} | {left.target for left in self.left_out}
         weights = {} if towers is None else dict(zip(towers.names, towers.weight.tolist(), strict=True))
         parts = {name: weights[name] for name in asked if name in weights}
+        if sum(parts.values()) <= 0.0:  # nobody is asked for more than another
+            parts = dict.fromkeys(parts, 1.0)
         if not parts:
             parts = dict.fromkeys(asked, 1.0)
         whole = math.fsum(parts.values())
@@ -149,11 +151,11 @@ def open_scene(question: Mission, folder: Path) -> Scene:
     Raises
     ------
     MissionError
-        As :func:`.build_check_scene`; or the mission shares out nothing.
+        As :func:`.build_open_scene`; or the mission shares out nothing.
     """
     if not question.is_open:
         raise MissionError("inspection.assignment: expected this field, got none: vehicles have stops of their own")
-    return build_check_scene(question, folder, [])
+    return build_open_scene(question, folder)
 
 
 def round_mission(scene: Scene, tours: Sequence[Tour], number: int) -> Mission:

@@ -140,6 +140,17 @@ def build_check_scene(mission: Mission, folder: Path, places_deg: Sequence[tuple
     return _Builder(mission, folder, places_deg).scene(with_routes=False)
 
 
+def build_open_scene(mission: Mission, folder: Path) -> Scene:
+    """Resolve a mission whose towers are still to be shared out; its vehicles have homes and limits, but no route.
+
+    Raises
+    ------
+    MissionError
+        As :func:`build_scene`: of homes, the climb from them, and landing there.
+    """
+    return _Builder(mission, folder).open_scene()
+
+
 def takeoff_height_m(vehicle: mission.Vehicle, margins: Margins) -> float:
     """Return how high above its home a vehicle takes off: as stated, or somewhat higher than it must be."""
     if vehicle.takeoff_height_m is not None:
@@ -213,6 +224,18 @@ class _Builder:
             self._check_apart(tasks)
         else:
             tasks = tuple(self._task_without_route(i, vehicle) for i, vehicle in numbered)
+        return self._scene_of(tasks)
+
+    def open_scene(self) -> Scene:
+        vehicles = self._mission.vehicles
+        tasks = tuple(self._task_without_route(i, vehicle) for i, vehicle in enumerate(vehicles))
+        for i, (vehicle, task) in enumerate(zip(vehicles, tasks, strict=True)):
+            self._check_home(i, vehicle, task)
+        for (i, a), (j, b) in itertools.combinations(enumerate(tasks), 2):
+            self._check_distance("home", (i, j), _apart_across_m(a.home_m, b.home_m), self._separation_m(a, b))
+        return self._scene_of(tasks)
+
+    def _scene_of(self, tasks: tuple[VehicleTask, ...]) -> Scene:
         return Scene(
             mission=self._mission,
             frame=self._frame,
@@ -537,6 +560,14 @@ class _Builder:
             places={},
         )
 
+    def _check_home(self, index: int, vehicle: mission.Vehicle, task: VehicleTask) -> None:
+        """Check that a copter can take off from its home, and land there again."""
+        what, margins = _named(index, vehicle, "home" if vehicle.home is not None else "start"), Margins.of(task.limits)
+        self._check_level(_Spot(what, task.home_m), task.limits)
+        top = _Spot(f"{what}, top of the take-off", self._takeoff_top(vehicle, task.limits, margins, task.home_m, []))
+        self._check_spot(top, margins)
+        self._check_takeoff(task.home_m, top, margins, None)
+
     def _places(self, vehicle: mission.Vehicle, route_points: int) -> dict[int | str, int]:
         """Return the route's points before the goal by what the mission calls them.
 
@@ -737,31 +768,33 @@ class _Builder:
                 "(e.g. gdal_fillnodata)"
             )
 
+    def _separation_m(self, a: VehicleTask, b: VehicleTask) -> float:
+        return self._mission.fleet.separation_m + a.off_prediction_m + b.off_prediction_m
+
+    def _check_distance(self, field: str, pair: tuple[int, int], distance: float, need: float) -> None:
+        vehicles, (i, j) = self._mission.vehicles, pair
+        if distance < max(need, 0.01) - _TOLERANCE_M:
+            got = "the same place" if distance < 0.01 else f"{distance:.1f} m"
+            raise MissionError(
+                f"{_named(j, vehicles[j], field)}: expected at least {max(need, 0.01):g} m from the {field} of "
+                f"{_named(i, vehicles[i])} (fleet.separation_m and both vehicles' errors), got {got}: move one of them"
+            )
+
     def _check_apart(self, tasks: Sequence[VehicleTask]) -> None:
         vehicles = self._mission.vehicles
         together = self._mission.fleet.arrive_together
-
-        def check(i: int, j: int, field: str, distance: float, need: float) -> None:
-            if distance < max(need, 0.01) - _TOLERANCE_M:
-                got = "the same place" if distance < 0.01 else f"{distance:.1f} m"
-                raise MissionError(
-                    f"{_named(j, vehicles[j], field)}: expected at least {max(need, 0.01):g} m from the {field} of "
-                    f"{_named(i, vehicles[i])} (fleet.separation_m and both vehicles' errors), got {got}: move one of "
-                    "them"
-                )
-
         starts = [self._position(v.start, _named(i, v, "start")) if v.start else None for i, v in enumerate(vehicles)]
         for (i, a), (j, b) in itertools.combinations(enumerate(tasks), 2):
-            start_a, start_b = starts[i], starts[j]
-            separation_m = self._mission.fleet.separation_m + a.off_prediction_m + b.off_prediction_m
+            pair, start_a, start_b = (i, j), starts[i], starts[j]
+            separation_m = self._separation_m(a, b)
             if start_a is not None and start_b is not None:
-                check(i, j, "start", float(np.linalg.norm(start_a - start_b)), 0.0)
-            check(i, j, "home", _apart_across_m(a.home_m, b.home_m), separation_m)
+                self._check_distance("start", pair, float(np.linalg.norm(start_a - start_b)), 0.0)
+            self._check_distance("home", pair, _apart_across_m(a.home_m, b.home_m), separation_m)
             goal_a, goal_b = a.route_m[-1], b.route_m[-1]
             if a.end == b.end == "land":
-                check(i, j, "goal", _apart_across_m(goal_a, goal_b), separation_m)
+                self._check_distance("goal", pair, _apart_across_m(goal_a, goal_b), separation_m)
             elif together or (a.end != "rtl" and b.end != "rtl"):
-                check(i, j, "goal", float(np.linalg.norm(goal_a - goal_b)), separation_m)
+                self._check_distance("goal", pair, float(np.linalg.norm(goal_a - goal_b)), separation_m)
             (place_a, radius_a_m), (place_b, radius_b_m) = _stay(a), _stay(b)
             across_m = max(0.0, _apart_across_m(place_a, place_b) - radius_a_m - radius_b_m)
             apart_m = math.hypot(across_m, place_a[2] - place_b[2])

@@ -36,7 +36,7 @@ from missionplanner.inspection import Round, open_scene, plan_inspection
 from missionplanner.inspection_folder import load_inspection, save_inspection
 from missionplanner.mission import Mission
 from missionplanner.plan_folder import save_certificate, save_plan
-from missionplanner.scene import Scene
+from missionplanner.scene import Scene, build_check_scene
 from missionplanner.spans import conductor_distance_m
 from missionplanner.terrain_bounds import steepest
 from missionplanner.travel import TravelCosts, travel_costs
@@ -162,7 +162,7 @@ def _mission(name: str, data: Path, drawn: _Drawn, vehicles: int, assignment: Ma
             }
         )
 
-    ground = open_scene(question([(float(x), float(y)) for x, y in drawn.inspected[0][:1]]), data)
+    ground = build_check_scene(question([(float(x), float(y)) for x, y in drawn.inspected[0][:1]]), data, [])
     return question(_sites(ground, drawn, vehicles))
 
 

@@ -239,6 +239,31 @@ def test_nothing_at_all_is_no_plan(planned_unless: Any) -> None:
         plan_inspection(opened(obstacles=[wall], share_min=0.0, vehicles=homes), Path())
 
 
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        (
+            {"home": {"x_m": -150.0, "y_m": -50.0}},
+            r"vehicles\[1\]\.home \(bravo\): expected at least .* home of .*alpha",
+        ),
+        ({"home": {"x_m": 2.0, "y_m": 100.0}}, r"vehicles\[1\].*\(bravo\), .*obstacle span T1-T2"),
+        ({"home": {"x_m": 2.0, "y_m": 200.0}}, r"vehicles\[1\].*\(bravo\), .*from obstacle"),
+        ({"takeoff_height_m": 3.0}, r"vehicles\[1\].*\(bravo\), top of the take-off: expected at least"),
+    ],
+)
+def test_a_home_that_nobody_can_use_is_refused_by_name(changes: dict[str, Any], problem: str) -> None:
+    homes = [{"name": name, "home": {"x_m": -150.0, "y_m": y}} for name, y in (("alpha", -50.0), ("bravo", 0.0))]
+    with pytest.raises(MissionError, match=problem):
+        inspection.open_scene(opened(vehicles=[homes[0], homes[1] | changes]), Path())
+
+
+def test_a_home_on_a_steep_slope_is_refused() -> None:
+    hill = [{"x_m": -150.0, "y_m": 30.0, "height_m": 40.0, "spread_m": 25.0}]
+    terrain = {"kind": "peaks", "base_alt_amsl_m": 100.0, "cell_m": 5.0, "peaks": hill}
+    with pytest.raises(MissionError, match=r"vehicles\[1\]\.home \(bravo\): expected ground of at most"):
+        inspection.open_scene(opened(terrain=terrain), Path())
+
+
 def test_most_weight_in_one_sortie_each_asks_for_no_share(planned_unless: Any) -> None:
     planned_unless(_no_way_to("T2"))
     plan = plan_inspection(opened(assignment={"objective": "priority"}), Path())
