@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
 from adapters.aiming import aim, headings_deg, hold_s, turn_deg
+from missionplanner import camera as cameras
 from missionplanner.errors import MissionError
 from missionplanner.plan import Action, FleetPlan, VehiclePlan
 
@@ -44,20 +45,24 @@ class Aircraft:
     payload: int
     pitches_deg: tuple[float, float]
     lens: str = ""  # whose photos are kept, where the format asks for it
+    cameras: tuple[str, ...] = ()  # of those that missions know, the ones it carries
 
 
 _MATRICE = {"m300": ("Matrice 300 RTK", 60), "m350": ("Matrice 350 RTK", 89)}
 _ZENMUSE = {"h20": ("H20", 42), "h20t": ("H20T", 43), "h20n": ("H20N", 61), "h30": ("H30", 82), "h30t": ("H30T", 83)}
+_WIDE = {"h20": ("dji_h20_wide",), "h20t": ("dji_h20_wide",)}  # the same wide camera
 
 AIRCRAFT: Mapping[str, Aircraft] = {
     **{
-        f"{matrice}-{camera}": Aircraft(f"{words} with {named}", (drone, 0), payload, (-120.0, 45.0))
+        f"{matrice}-{camera}": Aircraft(
+            f"{words} with {named}", (drone, 0), payload, (-120.0, 45.0), "", _WIDE.get(camera, ())
+        )
         for matrice, (words, drone) in _MATRICE.items()
         for camera, (named, payload) in _ZENMUSE.items()
     },
     "m30": Aircraft("Matrice 30", (67, 0), 52, (-120.0, 45.0), "wide"),
     "m30t": Aircraft("Matrice 30T", (67, 1), 53, (-120.0, 45.0), "wide"),
-    "m3e": Aircraft("Mavic 3E", (77, 0), 66, (-90.0, 35.0)),
+    "m3e": Aircraft("Mavic 3E", (77, 0), 66, (-90.0, 35.0), "", ("dji_mavic3e_wide", "dji_mavic3e_tele")),
     "m3t": Aircraft("Mavic 3T", (77, 1), 67, (-90.0, 35.0)),
     "m3d": Aircraft("Matrice 3D", (91, 0), 80, (-90.0, 30.0), "wide"),
     "m3td": Aircraft("Matrice 3TD", (91, 1), 81, (-90.0, 30.0), "wide"),
@@ -81,14 +86,36 @@ def wpml_kmz(plan: FleetPlan, vehicle: VehiclePlan, aircraft: Aircraft) -> bytes
     return archive.getvalue()
 
 
-def remarks(aircraft: Aircraft) -> list[str]:
+def remarks(plan: FleetPlan, aircraft: Aircraft) -> list[str]:
     """Return what who flies a DJI route must know."""
     return [
+        *_camera_remarks(plan, aircraft),
         f"DJI routes are for a {aircraft.words}: another aircraft or camera is chosen with --dji-aircraft",
         "DJI routes are NOT PROVEN: no proof covers how a DJI aircraft flies between waypoints, whether its battery "
         "lasts with a stop at each, its way home, or that vehicles keep apart: fly one at a time",
         "DJI heights count from where the aircraft takes off: start it at its planned home, and nowhere else",
     ]
+
+
+def _camera_remarks(plan: FleetPlan, aircraft: Aircraft) -> list[str]:
+    """Tell of a mission's camera that the aircraft is not known to carry: views and photos are made for that."""
+    inspection = plan.mission.inspection
+    asked = None if inspection is None else cameras.of(inspection.camera)
+    if asked is None or any(_same_optics(asked, cameras.PRESETS[name]) for name in aircraft.cameras):
+        return []
+    carries = ", ".join(cameras.PRESETS[name].name for name in aircraft.cameras) or "none that is known here"
+    return [
+        f"CAMERA: views and photos are planned for {asked.name} (inspection.camera), a {aircraft.words} carries "
+        f"{carries}: distances, overlap and ground sampling hold for the planned one only: choose --dji-aircraft to "
+        "match, or plan again with the camera that flies"
+    ]
+
+
+def _same_optics(one: cameras.CameraModel, other: cameras.CameraModel) -> bool:
+    return all(
+        getattr(one, name) == getattr(other, name)
+        for name in ("focal_length_mm", "sensor_width_mm", "sensor_height_mm", "image_width_px", "image_height_px")
+    )
 
 
 class _Route:

@@ -83,7 +83,7 @@ def export_remarks(plan: FleetPlan, options: ExportOptions) -> list[str]:
     """Return what who flies the exported files must know."""
     told: list[str] = []
     if "dji" in options.formats:
-        told += dji_wpml.remarks(options.aircraft)
+        told += dji_wpml.remarks(plan, options.aircraft)
     if "litchi" in options.formats:
         told += litchi.remarks(plan)
     return told

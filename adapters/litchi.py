@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adapters.aiming import aim, headings_deg, hold_s, turn_deg
+from missionplanner import camera
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
 from missionplanner.plan import Action, FleetPlan, VehiclePlan
@@ -75,7 +76,9 @@ def remarks(plan: FleetPlan) -> list[str]:
     """Return what who flies Litchi's missions must know and set."""
     ends = {"land": "Land", "rtl": "RTH", "loiter": "None"}
     finish = sorted({f"{vehicle.name} {ends[vehicle.end]}" for vehicle in plan.vehicles})
+    lens = None if plan.mission.inspection is None else camera.of(plan.mission.inspection.camera)
     return [
+        *([] if lens is None else [f"CAMERA: views and photos are planned for {lens.name}: fly with no other"]),
         "Litchi missions are NOT PROVEN: no proof covers how the aircraft flies between waypoints, whether its battery "
         "lasts, its way home, or that vehicles keep apart: fly one at a time",
         "Litchi heights count from the take-off: start each at its planned home, and nowhere else",

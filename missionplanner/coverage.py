@@ -48,6 +48,7 @@ class SideSeen:
     """One direction from which a tower was to be seen; figures are those of the best sighting, else of the nearest."""
 
     target: str
+    visit: str  # that it belongs to, e.g. T01.orbit
     name: str  # e.g. T01.left
     toward: tuple[float, float, float]  # the direction in which it was to be seen from there; upwards: from above
     seen: bool
@@ -98,6 +99,8 @@ class Coverage:
         parts = {row.target: self.weight[row.target] for row in self.towers}
         if not parts:
             parts = {row.target: row.length_m for row in self.spans}
+        if sum(parts.values()) <= 0.0:  # nobody is asked for more than another
+            parts = dict.fromkeys(parts, 1.0)
         whole = sum(parts.values())
         return sum(part for target, part in parts.items() if target in done) / whole if whole > 0.0 else 1.0
 
@@ -273,10 +276,11 @@ def _side(terrain: Terrain, flown: _Flown, sight: Sight, lens: CameraModel | Non
         sample = flown.tree.query(sight.at_m)[1]
         aspect, k = _Aspect.of(flown.position_m[sample][np.newaxis] - sight.at_m, sight.toward), 0
     else:
-        return _never(sight.target, sight.name, sight.toward, why)
+        return _never(sight.target, sight.visit, sight.name, sight.toward, why)
     distance_m = float(aspect.distance_m[k])
     return SideSeen(
         target=sight.target,
+        visit=sight.visit,
         name=sight.name,
         toward=_floats(sight.toward),
         seen=bool(best),
@@ -291,9 +295,9 @@ def _side(terrain: Terrain, flown: _Flown, sight: Sight, lens: CameraModel | Non
     )
 
 
-def _never(target: str, name: str, toward: FloatArray, why: str) -> SideSeen:
+def _never(target: str, visit: str, name: str, toward: FloatArray, why: str) -> SideSeen:
     """Return that nobody was recorded who could have seen it."""
-    return SideSeen(target, name, _floats(toward), False, None, None, None, None, "", None, None, why)
+    return SideSeen(target, visit, name, _floats(toward), False, None, None, None, None, "", None, None, why)
 
 
 def _floats(vector: FloatArray) -> tuple[float, float, float]:
@@ -415,13 +419,14 @@ def _passes(scene: Scene, flown: _Flown, lens: CameraModel | None) -> Iterator[S
         return
     for name, top_m in zip(towers.names, towers.top_m, strict=True):
         if not len(flown.t_s):
-            yield _never(name, name, _UP, "no flight was recorded")
+            yield _never(name, name, name, _UP, "no flight was recorded")
             continue
         distance_m, sample = flown.tree.query(top_m)
         elevation_deg = float(_Aspect.of((flown.position_m[sample] - top_m)[np.newaxis], _UP).elevation_deg[0])
         seen = bool(distance_m <= towers.range_m)
         yield SideSeen(
             target=name,
+            visit=name,
             name=name,
             toward=_floats(_UP),
             seen=seen,

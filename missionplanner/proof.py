@@ -1220,12 +1220,13 @@ def _inspection(scene: Scene, flights: Sequence[Flight]) -> list[Finding]:
 def inspected_share(scene: Scene, lines_m: Sequence[FloatArray]) -> float:
     """Return the share of the towers' weight that polylines (N, 3) pass within range (PAPER.md eqs 6 and 15)."""
     towers = scene.towers
-    if towers is None or towers.weight.sum() == 0.0:
+    if towers is None or not len(towers.weight):
         return 1.0
+    weight = towers.weight if towers.weight.sum() > 0.0 else np.ones(len(towers.weight))
     legs = np.concatenate([polyline_legs(line) for line in lines_m])
     nearest_m = np.array([distance_to_legs_m(top, legs).min() for top in towers.top_m])
     inspected = nearest_m <= towers.range_m
-    return float(towers.weight[inspected].sum() / towers.weight.sum())
+    return float(weight[inspected].sum() / weight.sum())
 
 
 def _assumptions(scene: Scene, flights: Sequence[Flight]) -> list[str]:

@@ -18,7 +18,7 @@ from missionplanner.views import Visit
 from missionplanner.waypoints import passes
 
 if TYPE_CHECKING:
-    from missionplanner.coverage import Coverage, SideSeen, SpanSeen
+    from missionplanner.coverage import Coverage
 
 Status = Literal["planned", "left out", "done before"]
 
@@ -105,11 +105,7 @@ class _Places:
         lat_deg, lon_deg, _ = scene.frame.to_geo(towers.top_m)
         self._place_deg = list(zip(lat_deg.tolist(), lon_deg.tolist(), strict=True))
         self._lines = _lines(inspection)
-        self._spans = {
-            f"span {a}-{b}": (self._index[a], self._index[b], line.name)
-            for line in inspection.lines_or_one
-            for a, b in itertools.pairwise(line.towers)
-        }
+        self._spans = {span.name: (*span.towers, span.lines) for span in scene.spans}
 
     def order(self, target: str) -> tuple[int, int]:
         """Return where a target stands: towers in the mission's order, each before the spans that begin there."""
@@ -126,8 +122,8 @@ class _Places:
         if kind == "tower":
             of, lines = [self._index[target]], self._lines.get(target, ())
         else:
-            begin, end, line = self._spans[target]
-            of, lines = [begin, end], (line,)
+            begin, end, lines = self._spans[target]
+            of = [begin, end]
         highest = max(of, key=lambda k: float(self._towers.top_m[k, 2]))
         return TowerRow(
             target=target,
@@ -208,12 +204,8 @@ def _way_m(points_m: FloatArray) -> float:
 
 def _seen(coverage: Coverage, target: str, visit: str) -> Seen | None:
     """Return what was seen of a visit; of a target without one, of all of it; None: it is not asked for."""
-
-    def of_visit(row: SideSeen | SpanSeen) -> bool:
-        return row.target == target and (not visit or row.name == visit or row.name.startswith(f"{visit}."))
-
-    sides = [row for row in coverage.towers if of_visit(row)]
-    spans = [row for row in coverage.spans if of_visit(row)]
+    sides = [row for row in coverage.towers if row.target == target and visit in ("", row.visit)]
+    spans = [row for row in coverage.spans if row.target == target and visit in ("", row.name)]
     if sides:
         told = [row.photos for row in sides if row.photos is not None]
         return Seen(

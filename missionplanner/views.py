@@ -38,6 +38,7 @@ _SIGHT_STEP_M = 5.0
 _SIGHT_SAMPLES = 1 << 20
 _SAG_SAMPLES = 65
 _QUARTER_TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # to the left, of rows
+_OTHER = {"left": "right", "right": "left"}
 _ORBIT_GAP_DEG = 120.0  # an orbit whose points leave more than this between them is none
 
 
@@ -136,15 +137,26 @@ def span_sights(scene: Scene) -> tuple[SpanSight, ...]:
     if inspection is None:
         return ()
     asked = {line.name: line.spans or inspection.spans for line in inspection.lines_or_one}
+    ways = {line.name: set(itertools.pairwise(line.towers)) for line in inspection.lines_or_one}
+    names = [tower.name for tower in inspection.towers]
     found = []
     for span in scene.spans:
-        views = next((views for line in span.lines if (views := asked[line]) != "none"), None)
-        if views is None:
-            continue
         begin, end = span.curve_m[0], span.curve_m[-1]
         left = _level((end - begin)[:2]) @ _QUARTER_TURN
+        ahead = names[span.towers[0]], names[span.towers[1]]
+        wanted: dict[str, list[mission.SpanViews]] = {"left": [], "right": []}
+        for line in span.lines:
+            if (views := asked[line]) == "none":
+                continue
+            # a line's left is that of its own direction, and of both where it goes there and back
+            for along, turned in ((ahead, False), (ahead[::-1], True)):
+                if along in ways[line]:
+                    for side in ("left", "right"):
+                        if views.sides in (side, "both"):
+                            wanted[_OTHER[side] if turned else side].append(views)
         for side, toward in (("left", left), ("right", -left)):
-            if views.sides in (side, "both"):
+            if wanted[side]:  # of several circuits' wishes, the nearest way
+                views = min(wanted[side], key=lambda views: math.hypot(views.lateral_m, views.vertical_m))
                 found.append(SpanSight(f"{span.name}.{side}", span, toward, views.lateral_m, views.vertical_m))
     return tuple(found)
 

@@ -86,7 +86,7 @@ def write_inspection_report(
     rows = tower_rows(planned, seen)
     rounds = [collect(r.scene, r.plan, None) for r in planned.rounds]
     troubles = [f"round {number}: {line}" for number, facts in enumerate(rounds, start=1) for line in facts.troubles]
-    missed = _missed(rows)
+    missed = _missed(planned, rows, seen)
     reasons = [
         *troubles,
         *(f"left out: {left.target}: {left.why}" for left in planned.left_out),
@@ -111,12 +111,15 @@ def write_inspection_report(
     )
 
 
-def _missed(rows: Sequence[TowerRow]) -> list[str]:
+def _missed(planned: InspectionPlan, rows: Sequence[TowerRow], seen: Coverage | None) -> list[str]:
     """Return what was planned to be seen, and was not, in words."""
+    if seen is None:
+        return []
+    missed = [row for row in rows if row.status == "planned" and row.seen is not None and not row.seen.seen]
+    unseen = set(planned.inspected) - seen.done - {row.target for row in missed}
     return [
-        f"{row.visit}: {row.seen.why or 'not from all sides'}"
-        for row in rows
-        if row.status == "planned" and row.seen is not None and not row.seen.seen
+        *(f"{row.visit}: {row.seen.why or 'not from all sides'}" for row in missed if row.seen is not None),
+        *(f"{target}: not from all sides" for target in sorted(unseen)),
     ]
 
 

@@ -181,6 +181,16 @@ def test_a_tower_counts_with_its_weight_when_all_its_sides_were_seen() -> None:
     assert len(found.missing) == 3
 
 
+def test_towers_without_any_weight_count_alike() -> None:
+    data = open_question(**TWO_SIDES)
+    for tower in data["inspection"]["towers"]:
+        tower["weight"] = 0.0
+    scene = open_scene(data)
+    assert measure(scene, []).share == 0.0
+    assert measure(scene, [flown([v for v in visits(scene)[0] if v.target == "T2"])]).share == pytest.approx(1.0 / 3.0)
+    assert inspected_share(scene, [np.array([[0.0, 200.0, 140.0], [0.0, 210.0, 140.0]])]) == pytest.approx(1.0 / 3.0)
+
+
 def test_nothing_flown_is_nothing_seen() -> None:
     nowhere = Trajectory(np.zeros(0), np.zeros((0, 3)))
     assert measure(open_scene(open_question(**ALONG)), [nowhere], photos=[nowhere]).share == 0.0

@@ -16,6 +16,7 @@ import pytest
 from adapters.dji_wpml import AIRCRAFT, remarks, wpml_kmz
 from adapters.export import export_fleet, export_options, export_remarks
 from missionplanner.errors import MissionError
+from missionplanner.mission import Inspection
 from missionplanner.plan import Action, FleetPlan, VehiclePlan
 from tests.plans import vehicle_plan
 from tests.routes import ACTIONS, TOWER_M, looking, looking_fleet
@@ -261,8 +262,8 @@ def test_the_files_say_that_nothing_is_proven() -> None:
             said = archive.read(name).decode()
             assert "NOT PROVEN for DJI" in said
             ET.fromstring(said)
-    assert any("NOT PROVEN" in line for line in remarks(AIRCRAFT["m30"]))
-    assert any("Matrice 30:" in line for line in remarks(AIRCRAFT["m30"]))
+    assert any("NOT PROVEN" in line for line in remarks(looking_fleet(looking("a", 1)), AIRCRAFT["m30"]))
+    assert any("Matrice 30:" in line for line in remarks(looking_fleet(looking("a", 1)), AIRCRAFT["m30"]))
 
 
 @pytest.mark.parametrize(
@@ -288,6 +289,31 @@ def test_files_have_names_that_dji_takes_and_each_its_own(tmp_path: Path) -> Non
     paths = export_fleet(plan, tmp_path, export_options("dji", "M3E"))
     assert [path.name for path in paths] == ["a-1-1.kmz", "a-1-2.kmz", "b.kmz"]
     assert export_remarks(plan, export_options("dji", "m3e"))[0].startswith("DJI routes are for a Mavic 3E")
+
+
+@pytest.mark.parametrize(
+    ("camera", "aircraft", "told"),
+    [
+        ({"preset": "sony_a7rm4_35mm"}, "m3e", True),
+        ({"preset": "dji_mavic3e_wide"}, "m3e", False),
+        ({"preset": "dji_mavic3e_tele", "overlap_share": 0.6}, "m3e", False),
+        ({"preset": "dji_mavic3e_wide", "focal_length_mm": 24.0}, "m3e", True),
+        ({"preset": "dji_mavic3e_wide"}, "m350-h20t", True),
+        ({"preset": "dji_h20_wide"}, "m350-h20t", False),
+        ({"preset": "dji_h20_wide"}, "m30t", True),
+        (None, "m3e", False),
+    ],
+)
+def test_a_camera_that_the_aircraft_does_not_carry_is_told(
+    camera: dict[str, Any] | None, aircraft: str, told: bool
+) -> None:
+    towers = [{"name": "T1", "lat_deg": 46.5, "lon_deg": 8.0}]
+    plan = looking_fleet(looking("a", 1))
+    asked = Inspection.model_validate({"towers": towers} | ({} if camera is None else {"camera": camera}))
+    plan = replace(plan, mission=plan.mission.model_copy(update={"inspection": asked}))
+    found = export_remarks(plan, export_options("dji,litchi", aircraft))
+    assert any(line.startswith("CAMERA: ") and AIRCRAFT[aircraft].words in line for line in found) is told
+    assert any("fly with no other" in line for line in found) is (camera is not None)
 
 
 @pytest.mark.parametrize(

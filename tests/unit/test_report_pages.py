@@ -23,6 +23,7 @@ from missionplanner.report.facts import collect
 from missionplanner.report.maps import TowerMark, inspection_map
 from missionplanner.report.overview import write_inspection_report
 from missionplanner.scene import Scene
+from tests import inspections
 from tests.inspections import inspection_by_hand
 from tests.unit.test_report import plan_of, question, scene_of
 
@@ -203,6 +204,38 @@ def test_what_flights_did_not_show_is_told(planned: InspectionPlan, tmp_path: Pa
     told = {(row[0], row[1]): row[5] for row in rows(page, "targets")}
     assert told["T02", "left"].startswith("seen, 25 m")
     assert f"{seen.share:.0%}" in words
+
+
+@pytest.mark.parametrize("kind", ["overfly", "two_sides", "four_sides", "orbit"])
+def test_what_no_flight_came_near_is_never_clear(kind: str, tmp_path: Path) -> None:
+    data = inspections.question(views={"kind": kind, "below_top_m": [3.0, 12.0], "distance_m": 25.0})
+    planned = replace(proven(inspection_by_hand(data)), left_out=(), done=frozenset())
+    asked = {visit.name for r in planned.rounds for tour in r.tours for visit in tour.visits}
+
+    def page(aside_m: float) -> tuple[str, list[list[str]]]:
+        tracks = [
+            Trajectory(np.arange(0.0, 12.0, 0.5), np.tile(v.position_m + np.array([aside_m, 0.0, 0.0]), (24, 1)))
+            for visit in planned.visits
+            for v in visit.viewpoints
+        ]
+        ways = [
+            Trajectory(np.arange(0.0, 60.0, 0.5), np.linspace(begin, end, 120) + np.array([aside_m, 0.0, 0.0]))
+            for visit in planned.visits
+            if visit.target.startswith("span")
+            for begin, end in [(visit.viewpoints[0].position_m, visit.viewpoints[1].position_m)]
+        ]
+        seen = coverage.measure(planned.scene, [*tracks, *ways])
+        written = write_inspection_report(tmp_path, planned, seen, [*tracks, *ways])
+        return written.read_text(encoding="utf-8"), rows(written, "targets")
+
+    html, table = page(2000.0)
+    assert 'class="verdict clear"' not in html
+    flown = [row for row in table if "round" in row[2]]
+    assert len(flown) == len(asked)
+    assert all(row[5].startswith("not seen: ") for row in flown)
+    html, table = page(0.0)
+    assert 'class="verdict clear"' in html
+    assert all(row[5].startswith("seen") for row in table if "round" in row[2])
 
 
 def test_a_folder_in_the_way_is_told(planned: InspectionPlan, tmp_path: Path) -> None:

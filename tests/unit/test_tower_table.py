@@ -159,6 +159,28 @@ def test_after_a_flight_it_says_what_was_seen(planned: InspectionPlan) -> None:
     assert float(cells["T02.left"]["seen_distance_m"]) == pytest.approx(25.0, abs=1.0)
 
 
+@pytest.mark.parametrize("kind", ["overfly", "two_sides", "four_sides", "orbit"])
+def test_every_kind_of_view_has_its_figures(kind: str) -> None:
+    planned = inspection_by_hand(question(views={"kind": kind, "below_top_m": [3.0, 12.0], "distance_m": 25.0}))
+    towers = {visit.name for visit in planned.visits if not visit.target.startswith("span")}
+    away = [Trajectory(t.t_s, t.position_m + np.array([2000.0, 0.0, 0.0])) for t in still(planned, towers)]
+    for tracks, seen in ((still(planned, towers), True), (away, False)):
+        found = coverage.measure(planned.scene, tracks, names=["alpha"] * len(tracks))
+        rows = [row for row in tower_rows(planned, found) if row.kind == "tower"]
+        assert {row.visit for row in rows} == towers
+        for row in rows:
+            assert row.seen is not None
+            assert row.seen.seen is seen
+            assert row.seen.distance_m is not None
+
+
+def test_a_span_of_two_circuits_names_both() -> None:
+    lines = [{"name": "north", "towers": ["T01", "T02"]}, {"name": "south", "towers": ["T02", "T01", "T03", "T04"]}]
+    rows = {row.target: row for row in tower_rows(inspection_by_hand(question(lines=lines)))}
+    assert rows["span T01-T02"].lines == ("north", "south")
+    assert rows["span T01-T03"].lines == ("south",)
+
+
 def test_a_target_without_any_view_has_a_row_of_its_own(planned: InspectionPlan) -> None:
     without = replace(planned, visits=tuple(v for v in planned.visits if v.target != "T03"))
     (row,) = [row for row in tower_rows(without) if row.target == "T03"]

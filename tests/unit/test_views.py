@@ -16,7 +16,7 @@ from missionplanner.clearance import Margins
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
 from missionplanner.scene import Scene
-from missionplanner.views import FURTHEST, STEEPEST_DEG, Visit, in_sight, sights, visits
+from missionplanner.views import FURTHEST, STEEPEST_DEG, Visit, in_sight, sights, span_sights, visits
 from tests.lines import open_question, open_scene
 from tests.scenes import at
 
@@ -35,6 +35,30 @@ def places(visit: Visit) -> FloatArray:
 
 
 # --- by hand
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "turned", "asked"),
+    [
+        ("left", "right", False, {"left": 30.0, "right": 40.0}),
+        ("left", "both", False, {"left": 30.0, "right": 40.0}),
+        ("left", "left", True, {"left": 30.0, "right": 40.0}),
+        ("left", "right", True, {"left": 30.0}),
+        ("both", "left", False, {"left": 30.0, "right": 30.0}),
+    ],
+)
+def test_circuits_on_the_same_towers_are_each_seen_from_the_sides_they_ask_for(
+    first: str, second: str, turned: bool, asked: dict[str, float]
+) -> None:
+    towers = ["T1", "T2", "T3"]
+    lines = [
+        {"name": "A", "towers": towers, "spans": {"sides": first, "lateral_m": 30.0}},
+        {"name": "B", "towers": towers[::-1] if turned else towers, "spans": {"sides": second, "lateral_m": 40.0}},
+    ]
+    found = span_sights(open_scene(open_question(lines=lines)))
+    assert {s.name: s.lateral_m for s in found if s.span.name == "span T1-T2"} == {
+        f"span T1-T2.{side}": lateral_m for side, lateral_m in asked.items()
+    }
 
 
 def test_two_sides_are_left_and_right_of_the_line_in_the_order_of_its_towers() -> None:
