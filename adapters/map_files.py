@@ -42,6 +42,7 @@ _OSM_SUFFIXES = (".osm", ".osm.gz", ".osm.bz2", ".pbf")
 _TABLES = (".csv", ".tsv", ".txt")
 _INNER = (".shp", ".kml", ".geojson", ".json", ".gpkg", ".csv")  # others' .txt are licences and the like
 _OSM_COLUMNS = {"osm_id", "osm_node", "osm_way", "@id", "power", "aerialway", "man_made"}
+_GOOD_M = 2.0  # transformations of so good an accuracy, or a better one, are not worth a word
 _WGS84 = CRS.from_epsg(4326)
 _OTHER_DATUMS = re.compile(
     r"\b(DHDN|MGI|Gau(?:ss|ß)[- ]?Kr(?:ü|ue)ger|CH1903\+?|LV ?95|LV ?03|ED ?50|NAD ?27|Pulkovo|Lambert|Monte Mario|"
@@ -216,7 +217,7 @@ class _Reader:
         openstreetmap = not _OSM_COLUMNS.isdisjoint(names)
         shapes = shapely.from_wkb(geometry)
         crs = self._crs_of(meta["crs"], shapes, name)
-        to_geo = None if crs.equals(_WGS84) else Transformer.from_crs(crs, _WGS84, always_xy=True)
+        to_geo = _to_geo(crs, name)
         found = []
         for k, shape in enumerate(shapes.tolist()):
             if shape is None or shape.is_empty:
@@ -227,7 +228,12 @@ class _Reader:
                 "point", np.empty((0, 2)), tags, f"{name}, feature {k + 1}", _osm_id(tags), nodes, openstreetmap
             )
             found += [part for one in shapely.get_parts(shape).tolist() for part in _parts(common, one)]
+        self._place(found, to_geo, name)
+
+    def _place(self, found: Sequence[MapFeature], to_geo: Transformer | None, name: str) -> None:
         self._add([_placed(feature, to_geo) for feature in found])
+        if to_geo is not None and found and (doubt := _doubt(to_geo)):
+            self.notes.append(f"{name}: {doubt}: compare with an aerial image")
 
     def _crs_of(self, said: str | None, shapes: Any, name: str) -> CRS:
         """Return the coordinate system of a layer.
@@ -243,7 +249,10 @@ class _Reader:
         west, south, east, north = shapely.total_bounds(shapes).tolist()
         degrees = max(abs(west), abs(east)) <= 180.0 and max(abs(south), abs(north)) <= 90.0
         if crs is not None and (degrees or not crs.is_geographic):
-            return crs
+            if self._crs is None or self._crs.is_geographic != crs.is_geographic or _is_tied(crs):
+                return crs
+            self.notes.append(f"{name}: the datum of its system {crs.name!r} is unknown: taken as --crs says")
+            return self._crs
         if self._crs is not None:
             if self._crs.is_geographic and not degrees:
                 raise MissionError(
@@ -283,26 +292,40 @@ class _Reader:
             twice = next(n for n in names if n and names.count(n) > 1)
             raise MissionError(f"{name}: expected every column once, got {twice} again: rename one")
         columns, crs = self._columns(names, name)
-        to_geo = None if crs is None or crs.equals(_WGS84) else Transformer.from_crs(crs, _WGS84, always_xy=True)
         openstreetmap = not _OSM_COLUMNS.isdisjoint(names)
         found = []
         for line, row in enumerate(rows[1:], start=2):
             source = f"{name}, line {line}"
             tags = {n: cell.strip() for n, cell in zip(names, row, strict=False) if n and cell.strip()}
             x, y = (self._coordinate(tags, column, source) for column in columns)
-            if crs is None and not (abs(y) <= 90.0 and abs(x) <= 180.0):
-                swapped = abs(x) <= 90.0 and abs(y) <= 180.0
-                raise MissionError(
-                    f"{source}: expected degrees, got latitude {y:g}, longitude {x:g}: "
-                    + ("are they swapped?" if swapped else "projected coordinates: give --crs, e.g. EPSG:25832")
-                )
             found.append(
                 MapFeature("point", np.array([[x, y]]), tags, source, _osm_id(tags), openstreetmap=openstreetmap)
             )
-        self._add([_placed(feature, to_geo) for feature in found])
+        self._place(found, _to_geo(self._crs_of_table(columns, crs, found), name), name)
+
+    def _crs_of_table(self, columns: tuple[str, str], crs: CRS | None, found: Sequence[MapFeature]) -> CRS:
+        """Return the system of columns: degrees in lat and lon are degrees, whatever is given for other files."""
+        named = columns[0] in LONGITUDES
+        wrong = [f for f in found if (np.abs(f.lat_lon_deg) > [180.0, 90.0]).any()]
+        if named and not wrong:
+            return crs if crs is not None and crs.is_geographic else _WGS84
+        if wrong and (crs is None or crs.is_geographic):
+            x, y = wrong[0].lat_lon_deg[0].tolist()
+            swapped = abs(x) <= 90.0 and abs(y) <= 180.0
+            raise MissionError(
+                f"{wrong[0].source}: expected degrees, got latitude {y:g}, longitude {x:g}: "
+                + ("are they swapped?" if swapped else "projected coordinates: give --crs, e.g. EPSG:25832")
+            )
+        assert crs is not None
+        if not wrong and not crs.is_geographic:
+            raise MissionError(
+                f"{found[0].source}: expected coordinates of {crs.name!r} in columns {columns[0]} and {columns[1]}, "
+                "got degrees: call the columns lon and lat"
+            )
+        return crs
 
     def _columns(self, names: Sequence[str], name: str) -> tuple[tuple[str, str], CRS | None]:
-        """Return the columns of east and north, and their coordinate system; None: degrees, WGS84."""
+        """Return the columns of east and north, and the coordinate system given for them."""
         there = dict.fromkeys(names, "")
         geographic = value(there, LONGITUDES), value(there, LATITUDES)
         if geographic[0] and geographic[1]:
@@ -341,6 +364,53 @@ class _Reader:
                 self.notes.append(f"{name}: is not UTF-8 and was read as Windows-1252: check its names")
             return text
         raise MissionError(f"{name}: expected a table as text (UTF-8), got something else")
+
+
+def _is_tied(crs: CRS) -> bool:
+    """Return whether PROJ knows where on earth a system's datum lies, within metres."""
+    try:
+        _transformer(crs)
+    except ProjError:
+        return False
+    return True
+
+
+def _transformer(crs: CRS) -> Transformer:
+    # an unknown datum on these ellipsoids is within metres of WGS 84; on others it may be hundreds off
+    harmless = crs.ellipsoid is not None and re.sub(r"[ _]", "", crs.ellipsoid.name) in {"WGS84", "GRS1980", "GRS80"}
+    return Transformer.from_crs(crs, _WGS84, always_xy=True, allow_ballpark=harmless)
+
+
+def _to_geo(crs: CRS, name: str) -> Transformer | None:
+    """Return the way from a system to WGS 84's longitude and latitude; None: it is that.
+
+    Raises
+    ------
+    MissionError
+        Nobody knows it.
+    """
+    if crs.equals(_WGS84):
+        return None
+    try:
+        return _transformer(crs)
+    except ProjError as error:
+        raise MissionError(
+            f"{name}: expected a coordinate system whose datum is known, got {crs.name!r}, which may be hundreds of "
+            "metres off: give the true one, e.g. --crs EPSG:31468"
+        ) from error
+
+
+def _doubt(to_geo: Transformer) -> str:
+    """Return what is to be said of places that were just transformed; nothing: they are good."""
+    try:
+        used = to_geo.get_last_used_operation()
+    except ProjError:
+        used = to_geo  # there is one way only
+    if used.accuracy > _GOOD_M:
+        return f"places are good to {used.accuracy:g} m only ({used.description.strip()[:120]})"
+    if "allpark" in used.description:
+        return "the datum of its coordinate system is unknown and was taken for WGS 84"
+    return ""
 
 
 def _suffix(path: Path) -> str:

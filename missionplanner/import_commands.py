@@ -26,6 +26,10 @@ def import_maps(
         str | None, typer.Option(metavar="SOUTH,WEST,NORTH,EAST", help="degrees; only towers in here are inspected")
     ] = None,
     terrain: Annotated[Path | None, typer.Option(metavar="FILE", help="elevation model (GeoTIFF, HGT)")] = None,
+    geoid_undulation: Annotated[
+        float | None,
+        typer.Option(metavar="M", help="of the geoid above the ellipsoid, where the terrain's heights are above that"),
+    ] = None,
     line: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME|VOLTAGE", help="inspect these lines, e.g. 161 or 110kV; default: highest voltage"),
@@ -58,6 +62,8 @@ def import_maps(
     if output.exists() and not overwrite:
         raise MissionError(f"{output}: expected no such file, got one that may hold your work: give --overwrite")
     ensure_writable(output.parent)
+    if geoid_undulation is not None and terrain is None:
+        raise MissionError("--geoid-undulation: expected --terrain with it, got none")
     homes = tuple(_place(text) for text in home or ())
     count = vehicles if vehicles is not None else len(homes) or 2
     if len(homes) > count:
@@ -71,6 +77,7 @@ def import_maps(
         homes_deg=homes,
         vehicles=count,
         terrain=terrain,
+        geoid_undulation_m=geoid_undulation,
         terrain_as_written=NO_TERRAIN if terrain is None else Path(os.path.relpath(terrain, output.parent)),
     )
     maps = read_maps(files, crs)

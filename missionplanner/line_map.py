@@ -11,8 +11,8 @@ import itertools
 import math
 import re
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -28,18 +28,22 @@ from missionplanner.map_tags import (
     NAMES,
     ORDERS,
     MapFeature,
+    called,
     height_m,
     is_minor,
     iso_dates,
     kind,
     number,
     parts,
+    unread_heights,
     value,
     voltage_kv,
 )
 
 COARSE_M = 800.0
 """Further apart, vertices without towers are bends of a drawing: spans of lines are rarely longer."""
+SPAN_MAX_M = 3000.0
+"""No span is longer, but for a handful on earth."""
 
 _SAME_M = 1.0  # two points of a map this close are one tower
 _MATCH_M = 10.0  # a tower this close to a vertex of a line stands at it
@@ -95,7 +99,9 @@ class LineMap:
     wires: tuple[Wire, ...]
     alone: tuple[int, ...]  # supports that carry nothing known
     tall: tuple[MapFeature, ...]  # masts, chimneys, wind turbines
-    unused: Mapping[str, int]  # how many of what
+    underground: int  # how many cables were left out
+    unknown: Mapping[str, int]  # how many of what else was left out
+    unread_heights: tuple[str, ...]  # columns that may hold heights of towers
     openstreetmap: bool
     frame: LocalFrame = field(compare=False)
 
@@ -112,6 +118,10 @@ class LineMap:
         known = np.array([self.supports[s].tagged for s in wire.supports])
         loose = ~(known[:-1] & known[1:])
         return float(length_m[loose].max(initial=0.0))
+
+    def longest_span_m(self, supports: Sequence[int]) -> float:
+        """Return how far apart neighbours are, at most."""
+        return float(np.linalg.norm(np.diff(self.xy_m(supports), axis=0), axis=1).max(initial=0.0))
 
     def is_drawing(self, wire: Wire) -> bool:
         """Return whether a line is drawn without its towers: so far apart are its vertices, and none is known."""
@@ -141,6 +151,7 @@ def read_line_map(features: Sequence[MapFeature]) -> LineMap:
     places = np.concatenate([f.lat_lon_deg for f in [*points, *drawn]])
     frame = LocalFrame(*(round(float(v), 5) for v in (places.min(axis=0) + places.max(axis=0)) / 2))
     builder = _Builder(frame)
+    points = [_at_its_middle(feature) for feature in points]
     builder.add_points(points)
     builder.add_lines(drawn)
     wires = _each_once(builder.wires) + builder.rows_of_towers()
@@ -152,10 +163,20 @@ def read_line_map(features: Sequence[MapFeature]) -> LineMap:
         wires=tuple(_joined(wires, builder.supports)),
         alone=tuple(s for s, support in enumerate(builder.supports) if support.wires == 0),
         tall=(*sorted_["mast"], *sorted_["turbine"]),
-        unused={what: len(sorted_[what]) for what in ("underground", "other") if sorted_[what]},
+        underground=len(sorted_["underground"]),
+        unknown=dict(Counter(called(feature) for feature in sorted_["other"]).most_common()),
+        unread_heights=tuple(dict.fromkeys(name for f in points for name in unread_heights(f))),
         openstreetmap=any(f.openstreetmap for f in features),
         frame=frame,
     )
+
+
+def _at_its_middle(feature: MapFeature) -> MapFeature:
+    """Return a tower as a point, however it is drawn."""
+    if feature.shape == "point":
+        return feature
+    places = feature.lat_lon_deg
+    return replace(feature, shape="point", lat_lon_deg=((places.min(axis=0) + places.max(axis=0)) / 2)[None])
 
 
 def _files(features: Sequence[MapFeature]) -> str:
@@ -202,8 +223,8 @@ class _Builder:
             if old is None and first_of[k] != k:
                 old = of_point[int(first_of[k])]
             of_point.append(self._add(new, at_m[k]) if old is None else self._merge(old, new))
-            if feature.id:
-                self._by_id[feature.id] = of_point[-1]
+            for node in filter(None, (feature.id, *feature.nodes)):
+                self._by_id[node] = of_point[-1]
             if old is None and kind(feature) == "tower":
                 self._towers.append(of_point[-1])
         _check_heights(heights)
@@ -343,14 +364,43 @@ class _Builder:
                 names = [support.layer]
             for name in names:
                 rows[name].append(s)
-        return [self._row(name, members) for name, members in rows.items() if len(members) > 1]
+        return [wire for name, members in rows.items() for wire in self._lines_through(name, members)]
+
+    def _lines_through(self, name: str, members: list[int]) -> Iterator[Wire]:
+        """Yield the lines of so many towers: what no span can reach is another line."""
+        counted = self._are_counted(name, members)
+        groups = [members] if counted else [sorted(group) for group in self._parted(self._nearby(members))]
+        wires = [self._row(name, group) for group in groups if len(group) > 1]
+        rows = [(wire, list(self._parted(wire.supports))) for wire in wires]
+        parted = len(groups) > 1 or any(len(pieces) > 1 for _, pieces in rows)
+        for wire, pieces in rows:
+            by = wire.ordered_by or ("their order column" if parted else "")
+            by += f", lines of their own where more than {SPAN_MAX_M:g} m lie between" if parted else ""
+            yield from (replace(wire, supports=tuple(piece), ordered_by=by) for piece in pieces if len(piece) > 1)
+
+    def _nearby(self, members: list[int]) -> list[int]:
+        return [members[k] for k in _shortest_way(np.array([self._xy[s] for s in members]))]
+
+    def _parted(self, way: Sequence[int]) -> Iterator[list[int]]:
+        """Yield a way in pieces without a gap that no span reaches over."""
+        piece = [way[0]]
+        for a, b in itertools.pairwise(way):
+            if math.dist(self._xy[a], self._xy[b]) > SPAN_MAX_M:
+                yield piece
+                piece = []
+            piece.append(b)
+        yield piece
+
+    def _are_counted(self, name: str, members: Sequence[int]) -> bool:
+        """Return whether a table says the place of each of a line's towers."""
+        told = {self.supports[s].lines.get(name) for s in members}
+        return len(told) == len(members) and None not in told
 
     def _row(self, name: str, members: list[int]) -> Wire:
         supports = [self.supports[s] for s in members]
-        places = [support.lines.get(name) for support in supports]
-        told = [place for place in places if place is not None]
-        if len(set(told)) == len(members):
-            order, assumed = np.argsort(np.array(told), kind="stable").tolist(), ""
+        if self._are_counted(name, members):
+            told = np.array([support.lines[name] for support in supports])
+            order, assumed = np.argsort(told, kind="stable").tolist(), ""
         else:
             order, assumed = _best_order(np.array([self._xy[s] for s in members]), [s.label for s in supports])
         return Wire(

@@ -12,7 +12,7 @@ import math
 import re
 import textwrap
 import unicodedata
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,8 +23,8 @@ import numpy as np
 from missionplanner import mission
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray, LocalFrame
-from missionplanner.line_map import COARSE_M, LineMap, Support, Wire
-from missionplanner.map_tags import MapFeature, number, plain
+from missionplanner.line_map import COARSE_M, SPAN_MAX_M, LineMap, Wire
+from missionplanner.map_tags import MapFeature, made_of, number, plain
 from missionplanner.terrain import Rectangle, Terrain, read_raster
 from missionplanner.terrain_bounds import steepest
 
@@ -33,7 +33,6 @@ NO_TERRAIN = Path("FILL-IN-a-terrain-model.tif")
 
 _REACH_M = 100_000.0
 _ROOM_M = 1000.0  # of the mission's area around its towers and homes
-_SPAN_MAX_M = 3000.0  # no span is longer, but for a handful on earth
 _TOWERS_MAX = 5000
 _TUBE_M = 5.0  # as copters have it by default
 _HOME_PITCH_M = 40.0  # between homes: more than the fleet's separation and both vehicles' errors
@@ -78,6 +77,7 @@ _ROPEWAY_HEIGHT_M = {
 }
 _OTHER_ROPEWAY_M = 40.0
 _MAST_RADIUS_M = 10.0
+_LONE_RADIUS_M = 6.0  # of a tower of no known line
 _GUYED_FROM_M, _GUYS_SHARE = 50.0, 0.7  # masts so high may be guyed; their guys reach so much of the height outwards
 _ROTOR_RADIUS_M = 90.0  # the largest on land
 
@@ -95,6 +95,7 @@ class Wishes:
     vehicles: int = 2
     terrain: Path | None = None  # as it is to be read
     terrain_as_written: Path = NO_TERRAIN  # as the mission file names it
+    geoid_undulation_m: float | None = None  # where the terrain's heights are above the ellipsoid
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,10 +150,14 @@ class _Importer:
         self._line_names = self._name_lines()
         self._tower_names = self._name_towers()
         self._frame = self._local_frame()
-        self._of_line = self._greatest()
+        self._carried = self._all_carried()
+        self._of_line = self._greatest([run.wire for run in self._runs])
         self._area = self._mission_area()
         self._terrain = self._read_terrain()
+        self._in_the_way: list[Wire] = []  # power lines among the obstacles
+        self._groundless: list[str] = []  # obstacles of whose ground the terrain says nothing
         self._obstacles, self._obstacle_comments = self._all_obstacles()
+        self._safety_m = self._greatest([*(run.wire for run in self._runs), *self._in_the_way]).safety_m
         self._homes = self._all_homes()
 
     # --- what is inspected
@@ -209,7 +214,7 @@ class _Importer:
         )
 
     def _expect_towers(self, wire: Wire) -> None:
-        if self._map.is_drawing(wire) or self._map.coarse_gap_m(wire) > _SPAN_MAX_M:
+        if self._map.is_drawing(wire) or self._map.coarse_gap_m(wire) > SPAN_MAX_M:
             spacing_m = np.linalg.norm(np.diff(self._map.xy_m(wire.supports), axis=0), axis=1)
             raise MissionError(
                 f"{wire.title}: a line without towers: expected a vertex or a point at every tower, got "
@@ -281,9 +286,31 @@ class _Importer:
     def _places(self, supports: Iterable[int]) -> list[tuple[float, float]]:
         return [self._map.supports[s].lat_lon_deg for s in supports]
 
-    def _greatest(self) -> Assumed:
-        """Return what is assumed of the inspected lines together: the greatest of each."""
-        all_ = [assumed_of(run.wire.voltage_kv, minor=run.wire.minor) for run in self._runs]
+    def _all_carried(self) -> dict[int, list[Wire]]:
+        """Return the power lines that each support carries, whether or not they are inspected."""
+        carried: dict[int, list[Wire]] = defaultdict(list)
+        for wire in self._map.wires:
+            for s in dict.fromkeys(() if wire.aerialway else wire.supports):
+                carried[s].append(wire)
+        return carried
+
+    def _sized(self, wire: Wire) -> Assumed:
+        """Return what is assumed of a power line; one without a voltage has the highest that its towers tell."""
+        told = (self._map.supports[s].voltage_kv for s in wire.supports)
+        known_kv = wire.voltage_kv or max((kv for kv in told if kv), default=None)
+        return assumed_of(known_kv, minor=wire.minor)
+
+    def _assumed_height_m(self, s: int) -> float:
+        """Return the height that is assumed of a tower: it carries the highest of its lines."""
+        support = self._map.supports[s]
+        heights_m = [self._sized(wire).height_m for wire in self._carried.get(s, ())]
+        if support.voltage_kv is not None or not heights_m:
+            heights_m.append(assumed_of(support.voltage_kv, minor=support.what == "pole").height_m)
+        return max(heights_m)
+
+    def _greatest(self, wires: Iterable[Wire]) -> Assumed:
+        """Return what is assumed of lines together: the greatest of each."""
+        all_ = [self._sized(wire) for wire in wires]
         return Assumed(
             max(c.height_m for c in all_),
             max(c.half_width_m for c in all_),
@@ -308,8 +335,10 @@ class _Importer:
         if self._wishes.terrain is None:
             return None
         try:
-            ground = read_raster(self._wishes.terrain, self._frame, self._area)
+            ground = read_raster(self._wishes.terrain, self._frame, self._area, self._wishes.geoid_undulation_m)
         except MissionError as error:
+            if "terrain.geoid_undulation_m" in str(error):
+                raise MissionError(str(error).replace("terrain.geoid_undulation_m", "--geoid-undulation")) from error
             if "expected terrain below the mission" in str(error) and self._lies_there_swapped():
                 raise MissionError(f"{error}: swapped they match: {_SWAP}") from error
             raise
@@ -350,6 +379,7 @@ class _Importer:
                 self._wishes.terrain,
                 LocalFrame(frame.origin_lon_deg, frame.origin_lat_deg),
                 (south, west, north, east),
+                self._wishes.geoid_undulation_m,
             )
         except MissionError:
             return False
@@ -369,13 +399,24 @@ class _Importer:
 
         for wire in self._map.wires:
             for supports, what in self._other_stretches(wire):
-                for chain, title in self._chains(wire, supports):
-                    name = _unique(_name(f"{what}{title}"), taken)
-                    add(self._overhead_line(name, wire, chain), wire.title)
+                half_m = self._half_width_m(wire)
+                found = False
+                for tops, title in self._drawn_along(wire, supports):
+                    for chain in self._within(tops, half_m):
+                        name = _unique(_name(f"{what}{title}"), taken)
+                        add(self._overhead_line(name, half_m, chain), wire.title)
+                        found = True
+                    for polygon in self._over_unknown_ground(tops, half_m):
+                        name = _unique(_name(f"{what[:30]}-no-ground"), taken)
+                        add(mission.NoFly(kind="no_fly", name=name, polygon=polygon), f"{wire.title}{_GROUNDLESS}")
+                        self._groundless.append(name)
+                        found = True
+                if found and not wire.aerialway:
+                    self._in_the_way.append(wire)
         for s in self._map.alone:
             support = self._map.supports[s]
-            if support.tagged and self._near(self._xy([support.lat_lon_deg])[0], 0.0):
-                add(self._lone_tower(support, taken), f"a {support.what} of no known line ({support.source})")
+            if support.tagged and self._near(self._xy([support.lat_lon_deg])[0], _LONE_RADIUS_M):
+                add(*self._lone_tower(s, taken))
         for feature in self._map.tall:
             if (tall := self._tall(feature, taken)) is not None:
                 add(*tall)
@@ -403,8 +444,8 @@ class _Importer:
         if rest:
             yield tuple(rest), f"{what}-beyond"
 
-    def _chains(self, wire: Wire, supports: Sequence[int]) -> Iterator[tuple[list[_Top], str]]:
-        """Yield chains of supports within the area, and what is added to their names.
+    def _drawn_along(self, wire: Wire, supports: Sequence[int]) -> Iterator[tuple[list[_Top], str]]:
+        """Yield the supports of a line as obstacles tell it, and what is added to their names.
 
         A line whose supports nobody knows may hang high between its vertices, or stand on the hills between them: it
         is told as both.
@@ -413,24 +454,17 @@ class _Importer:
         known_between = any(self._map.supports[s].tagged for s in supports[1:-1])
         coarse = self._map.coarse_gap_m(wire) > COARSE_M
         if coarse or (wire.aerialway and not known_between):
-            straight = tops if coarse else [tops[0], tops[-1]]
-            for chain in self._within(straight):
-                yield chain, "-straight"
-        if coarse:
-            tops = self._densified(tops)
-        for chain in self._within(tops):
-            yield chain, ""
+            yield (tops if coarse else [tops[0], tops[-1]]), "-straight"
+        yield (self._densified(tops) if coarse else tops), ""
 
     def _top(self, s: int, wire: Wire) -> _Top:
         support = self._map.supports[s]
-        if s in self._inspected:
-            height_m, _ = self._tower_height(s)
-        elif support.height_m is not None:
+        if support.height_m is not None:
             height_m = support.height_m
         elif wire.aerialway:
             height_m = _ROPEWAY_HEIGHT_M.get(wire.aerialway, _OTHER_ROPEWAY_M)
         else:
-            height_m = assumed_of(wire.voltage_kv, minor=wire.minor).height_m
+            height_m = max(self._assumed_height_m(s), self._wishes.tower_height_m or 0.0)
         assumed = (
             *(() if support.height_m is not None else ("height_agl_m",)),
             *(() if support.tagged else ("place",)),
@@ -449,12 +483,12 @@ class _Importer:
             dense.append(b)
         return dense
 
-    def _within(self, tops: Sequence[_Top]) -> Iterator[list[_Top]]:
+    def _within(self, tops: Sequence[_Top], half_m: float) -> Iterator[list[_Top]]:
         """Yield the stretches whose spans touch the area, with supports only where the ground is known."""
         xy_m = self._xy([top.place_deg for top in tops])
         chain: list[_Top] = []
         for k, (a, b) in enumerate(itertools.pairwise(tops)):
-            span = self._on_known_ground(a, b) if self._near_span(xy_m[k], xy_m[k + 1]) else None
+            span = self._on_known_ground(a, b) if self._clipped(xy_m[k], xy_m[k + 1], half_m) else None
             if span is not None and chain:  # the last one ended at this support, so its ground is known
                 chain.append(span[1])
             else:
@@ -469,52 +503,90 @@ class _Importer:
 
     def _on_known_ground(self, a: _Top, b: _Top) -> tuple[_Top, _Top] | None:
         """Return a span, cut off where the terrain ends; None where nothing of it is above known ground."""
+        known = self._known_part(a.place_deg, b.place_deg)
+        if known is None:
+            return None
+        height_m = max(a.height_m, b.height_m) + _CUT_HIGHER_M
+        first, last = known
+        return (
+            a if first == 0.0 else _Top(_between(a.place_deg, b.place_deg, first), height_m, _MADE_UP),
+            b if last == 1.0 else _Top(_between(a.place_deg, b.place_deg, last), height_m, _MADE_UP),
+        )
+
+    def _known_part(self, a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float] | None:
+        """Return from which share of a span to which the ground is known; voids between do not count."""
         ground = self._terrain
         if ground is None:
-            return a, b
-        pieces = max(2, math.ceil(float(np.linalg.norm(np.diff(self._xy([a.place_deg, b.place_deg]), axis=0))) / 20.0))
-        places = [_between(a.place_deg, b.place_deg, k / pieces) for k in range(pieces + 1)]
-        xy_m = self._xy(places)
+            return 0.0, 1.0
+        pieces = max(2, math.ceil(float(np.linalg.norm(np.diff(self._xy([a, b]), axis=0))) / _LOOK_M))
+        xy_m = self._xy([_between(a, b, k / pieces) for k in range(pieces + 1)])
         known = np.flatnonzero(np.isfinite(ground.height_amsl_m(xy_m[:, 0], xy_m[:, 1])))
         if len(known) < 2:
             return None
-        first, last = int(known[0]), int(known[-1])
-        height_m = max(a.height_m, b.height_m) + _CUT_HIGHER_M
-        return (
-            a if first == 0 else _Top(places[first], height_m, _MADE_UP),
-            b if last == pieces else _Top(places[last], height_m, _MADE_UP),
-        )
+        return int(known[0]) / pieces, int(known[-1]) / pieces
+
+    def _over_unknown_ground(self, tops: Sequence[_Top], half_m: float) -> Iterator[tuple[mission.Place, ...]]:
+        """Yield the outlines, within the area, of what hangs where the terrain says nothing."""
+        for a, b in itertools.pairwise(top.place_deg for top in tops):
+            first, last = self._known_part(a, b) or (1.0, 1.0)
+            for begin, end in ((0.0, first), (last, 1.0)):
+                at_m = self._xy([_between(a, b, begin), _between(a, b, end)])
+                touched = self._clipped(at_m[0], at_m[1], half_m) if begin < end else None
+                if touched is None:
+                    continue
+                start_m, end_m = (at_m[0] + share * (at_m[1] - at_m[0]) for share in touched)
+                along = (at_m[1] - at_m[0]) / np.linalg.norm(at_m[1] - at_m[0]) * half_m
+                aside = np.array([-along[1], along[0]])
+                corners = (
+                    start_m - along - aside,
+                    end_m + along - aside,
+                    end_m + along + aside,
+                    start_m - along + aside,
+                )
+                lat_deg, lon_deg, _ = self._frame.to_geo(np.array([[x, y, 0.0] for x, y in corners]))
+                places = zip(lat_deg.tolist(), lon_deg.tolist(), strict=True)
+                yield tuple(mission.Place(lat_deg=_deg(lat), lon_deg=_deg(lon)) for lat, lon in places)
 
     def _near(self, xy_m: FloatArray, room_m: float) -> bool:
         west, south, east, north = self._area
         x, y = xy_m.tolist()
-        inside = bool(west - room_m <= x <= east + room_m and south - room_m <= y <= north + room_m)
-        if not inside or self._terrain is None:
-            return inside
-        return bool(np.isfinite(self._terrain.height_amsl_m(x, y)))
+        return bool(west - room_m <= x <= east + room_m and south - room_m <= y <= north + room_m)
 
-    def _near_span(self, a: FloatArray, b: FloatArray) -> bool:
-        """Return whether a span has a point in the area (Liang and Barsky's clipping)."""
+    def _is_ground_known(self, xy_m: FloatArray, radius_m: float) -> bool:
+        """Return whether the ground is known all over a circle, and a little around."""
+        ground = self._terrain
+        if ground is None:
+            return True
+        reach_m = 1.1 * radius_m + ground.spacing_m
+        side = np.linspace(-reach_m, reach_m, min(200, 3 + math.ceil(4 * reach_m / ground.spacing_m)))
+        x, y = (offset.ravel() for offset in np.meshgrid(side, side))
+        around = np.hypot(x, y) <= reach_m
+        return bool(np.isfinite(ground.height_amsl_m(xy_m[0] + x[around], xy_m[1] + y[around])).all())
+
+    def _clipped(self, a: FloatArray, b: FloatArray, room_m: float) -> tuple[float, float] | None:
+        """Return from which share of a way to which it is within the area and so much room around (Liang, Barsky)."""
         west, south, east, north = self._area
         way = b - a
         enter, leave = 0.0, 1.0
         for step, room in (
-            (-way[0], a[0] - west),
-            (way[0], east - a[0]),
-            (-way[1], a[1] - south),
-            (way[1], north - a[1]),
+            (-way[0], a[0] - west + room_m),
+            (way[0], east + room_m - a[0]),
+            (-way[1], a[1] - south + room_m),
+            (way[1], north + room_m - a[1]),
         ):
             if step == 0.0:
                 if room < 0.0:
-                    return False
+                    return None
             elif step < 0.0:
-                enter = max(enter, room / step)
+                enter = max(enter, float(room / step))
             else:
-                leave = min(leave, room / step)
-        return bool(enter <= leave)
+                leave = min(leave, float(room / step))
+        return (enter, leave) if enter <= leave else None
 
-    def _overhead_line(self, name: str, wire: Wire, chain: Sequence[_Top]) -> mission.OverheadLine:
-        half_m = 5.0 if wire.aerialway else assumed_of(wire.voltage_kv, minor=wire.minor).half_width_m
+    def _half_width_m(self, wire: Wire) -> float:
+        return 5.0 if wire.aerialway else self._sized(wire).half_width_m
+
+    def _overhead_line(self, name: str, half_m: float, chain: Sequence[_Top]) -> mission.OverheadLine:
         return mission.OverheadLine(
             kind="line",
             name=name,
@@ -526,15 +598,36 @@ class _Importer:
             assumed=tuple(dict.fromkeys(a for top in chain for a in top.assumed)),
         )
 
-    def _lone_tower(self, support: Support, taken: set[str]) -> mission.Cylinder:
-        minor = support.what == "pole"
-        height_m = support.height_m or assumed_of(support.voltage_kv, minor=minor).height_m
-        if support.what == "pylon":
-            height_m = support.height_m or _OTHER_ROPEWAY_M
+    def _lone_tower(self, s: int, taken: set[str]) -> tuple[mission.Cylinder, str]:
+        support = self._map.supports[s]
+        height_m = support.height_m
+        if height_m is None and support.what == "pylon":
+            height_m = _OTHER_ROPEWAY_M
+        elif height_m is None:
+            height_m = max(self._assumed_height_m(s), self._wishes.tower_height_m or 0.0)
         name = _unique(_name(support.label)[:28] or support.what or "tower", taken)
-        lat_deg, lon_deg = map(_deg, support.lat_lon_deg)
-        center = mission.Place(lat_deg=lat_deg, lon_deg=lon_deg)
-        return mission.Cylinder(kind="cylinder", name=name, center=center, radius_m=6.0, top_height_agl_m=height_m)
+        at_m = self._xy([support.lat_lon_deg])[0]
+        comment = f"a {support.what} of no known line ({support.source})"
+        return self._cylinder(name, at_m, _LONE_RADIUS_M, height_m, comment)
+
+    def _cylinder(
+        self, name: str, at_m: FloatArray, radius_m: float, height_m: float | None, comment: str
+    ) -> tuple[mission.Cylinder, str]:
+        """Return what stands alone: without an upper limit where its height or the ground below it is unknown."""
+        if height_m is None:
+            comment += ", height unknown: no upper limit"
+        elif not self._is_ground_known(at_m, radius_m):
+            height_m, comment = None, comment + _GROUNDLESS
+            self._groundless.append(name)
+        lat_deg, lon_deg, _ = self._frame.to_geo(np.append(at_m, 0.0))
+        obstacle = mission.Cylinder(
+            kind="cylinder",
+            name=name,
+            center=mission.Place(lat_deg=_deg(float(lat_deg)), lon_deg=_deg(float(lon_deg))),
+            radius_m=round(radius_m, 1),
+            top_height_agl_m=height_m,
+        )
+        return obstacle, comment
 
     def _tall(self, feature: MapFeature, taken: set[str]) -> tuple[mission.Cylinder, str] | None:
         """Return a mast, chimney or wind turbine; without a height it has no upper limit."""
@@ -543,8 +636,8 @@ class _Importer:
         middle = (places.min(axis=0) + places.max(axis=0)) / 2
         outline_m = float(np.linalg.norm(places - middle, axis=1).max())
         height_m = _metres(tags, "height")
-        what = tags.get("man_made", "wind-turbine")
-        if "man_made" not in tags:
+        what = made_of(tags) or "wind-turbine"
+        if not made_of(tags):
             rotor_m = _metres(tags, "rotor:diameter")
             radius_m = rotor_m / 2 if rotor_m else _ROTOR_RADIUS_M
             hub_m = _metres(tags, "height:hub")
@@ -557,17 +650,8 @@ class _Importer:
                 radius_m = max(radius_m, _GUYS_SHARE * (height_m or 2 * _GUYED_FROM_M))
         if not self._near(middle, radius_m):
             return None
-        lat_deg, lon_deg, _ = self._frame.to_geo(np.append(middle, 0.0))
-        label = _name(tags.get("name", ""))[:24]
-        obstacle = mission.Cylinder(
-            kind="cylinder",
-            name=_unique(label or _name(what), taken),
-            center=mission.Place(lat_deg=_deg(float(lat_deg)), lon_deg=_deg(float(lon_deg))),
-            radius_m=round(radius_m, 1),
-            top_height_agl_m=height_m,
-        )
-        unknown = "" if height_m else ", height unknown: no upper limit"
-        return obstacle, f"{what} ({feature.source}){unknown}"
+        name = _unique(_name(tags.get("name", ""))[:24] or _name(what), taken)
+        return self._cylinder(name, middle, radius_m, height_m, f"{what} ({feature.source})")
 
     # --- who flies
 
@@ -672,6 +756,8 @@ class _Importer:
                 span([(p.lat_deg or 0.0, p.lon_deg or 0.0) for p in obstacle.supports], obstacle.cable_radius_m)
             elif isinstance(obstacle, mission.Cylinder):
                 span([(obstacle.center.lat_deg or 0.0, obstacle.center.lon_deg or 0.0)], obstacle.radius_m)
+            elif isinstance(obstacle, mission.NoFly):
+                span([(p.lat_deg or 0.0, p.lon_deg or 0.0) for p in (*obstacle.polygon, obstacle.polygon[0])], 0.0)
         a, b, least = np.array(starts), np.array(ends), np.array(need)
         square = np.maximum(((b - a) ** 2).sum(axis=1), 1e-9)
         west, south, east, north = self._area
@@ -693,8 +779,7 @@ class _Importer:
             return support.height_m, False
         if self._wishes.tower_height_m is not None:
             return self._wishes.tower_height_m, True
-        wires = [run.wire for run in self._runs if s in run.supports]
-        return max(assumed_of(wire.voltage_kv, minor=wire.minor).height_m for wire in wires), True
+        return self._assumed_height_m(s), True
 
     def mission(self) -> ImportedMission:
         """Return the file."""
@@ -712,10 +797,27 @@ class _Importer:
             what = _count(never, "tower")
             notes.append(f"{what} without last_inspected count least (weight 1, others: days since): fill in either")
         for name, run in zip(self._line_names, self._runs, strict=True):
+            longest_m = self._map.longest_span_m(run.supports)
             if run.wire.ordered_by:
-                notes.append(f"line {name}: towers in order of {run.wire.ordered_by}: check it")
-        if self._map.unused.get("underground"):
-            notes.append(f"{_count(self._map.unused['underground'], 'cable')} in the ground or under water left out")
+                by = run.wire.ordered_by
+                notes.append(f"line {name}: towers in order of {by} (longest span {longest_m:.0f} m): check it")
+            elif longest_m > SPAN_MAX_M:
+                notes.append(f"line {name}: has a span of {longest_m:.0f} m: check that no tower is missing")
+        if self._groundless:
+            shown = ", ".join(self._groundless[:3]) + (", ..." if len(self._groundless) > 3 else "")
+            what = _count(len(self._groundless), "obstacle")
+            notes.append(f"{what} without an upper limit, as the terrain does not hold the ground there ({shown})")
+        if self._map.underground:
+            notes.append(f"{_count(self._map.underground, 'cable')} in the ground or under water left out")
+        if self._map.unknown:
+            kinds = list(self._map.unknown.items())
+            shown = ", ".join(f"{count} of {kind}" for kind, count in kinds[:_KINDS_SHOWN])
+            rest = sum(count for _, count in kinds[_KINDS_SHOWN:])
+            shown += f", {rest} others" if rest else ""
+            notes.append(f"left out, as neither towers nor lines nor masts: {shown}: add what stands in the way")
+        if self._map.unread_heights:
+            shown = ", ".join(self._map.unread_heights[:6])
+            notes.append(f"columns not read: {shown}: if they hold heights of towers above the ground, call one height")
         alone = [s for s in self._map.alone if self._inside[s] and self._map.supports[s].what != "pylon"]
         if alone:
             shown = ", ".join(self._map.supports[s].label or self._map.supports[s].source for s in alone[:3])
@@ -723,7 +825,7 @@ class _Importer:
             what = _count(len(alone), "tower")
             notes.append(f"{what} on no line, so obstacles only ({shown}): if they belong to one, draw it through them")
         if any(wire.voltage_kv is None for wire in self._chosen):
-            notes.append(f"voltages of some lines are unknown: {self._of_line.safety_m:g} m are kept from conductors")
+            notes.append(f"voltages of some lines are unknown: {self._safety_m:g} m are kept from conductors")
         if self._terrain is None:
             notes.append("no terrain: fill in terrain.file (or import with --terrain); nothing is proven without it")
         notes = [_one_line(note) for note in notes]
@@ -760,7 +862,7 @@ class _Importer:
         if self._any_dates():
             yield f"  as_of: {_flow(wishes.as_of)} # the days since last_inspected are a tower's priority"
         yield (
-            f"  safety_distance_m: {of_line.safety_m:g} # to conductors, by voltage: DIN VDE 0105-100, docs/IMPORT.md; "
+            f"  safety_distance_m: {self._safety_m:g} # to conductors, by voltage: DIN VDE 0105-100, docs/IMPORT.md; "
             "ask the line's owner"
         )
         yield f"  conductor_radius_m: {of_line.half_width_m:g} # assumed: half the width of the conductors"
@@ -806,11 +908,12 @@ class _Importer:
 
     def _distance_m(self) -> float:
         """Return how far from a tower's axis one may look at it: the conductors and all margins fit between."""
-        need_m = self._of_line.half_width_m + self._obstacle_m() + _TUBE_M + 2.0
+        carried = (wire for s in self._inspected for wire in self._carried[s])
+        need_m = self._greatest(carried).half_width_m + self._obstacle_m() + _TUBE_M + 2.0
         return max(25.0, math.ceil(need_m))
 
     def _obstacle_m(self) -> float:
-        return max(_OBSTACLE_M, self._of_line.safety_m)
+        return max(_OBSTACLE_M, self._safety_m)
 
     def _terrain_text(self) -> Iterator[str]:
         if self._terrain is None:
@@ -819,9 +922,10 @@ class _Importer:
             return
         error_m = 9 if self._terrain.spacing_m > 45.0 else 4
         yield f"terrain: # {self._terrain.description}; its error is assumed: look it up"
-        yield "  " + _flow(
-            {"kind": "raster", "file": str(self._wishes.terrain_as_written), "vertical_error_m": error_m}
-        )
+        source = {"kind": "raster", "file": str(self._wishes.terrain_as_written), "vertical_error_m": error_m}
+        if self._wishes.geoid_undulation_m is not None:
+            source["geoid_undulation_m"] = self._wishes.geoid_undulation_m
+        yield "  " + _flow(source)
 
     def _obstacles_text(self) -> Iterator[str]:
         if not self._obstacles:
@@ -858,6 +962,9 @@ class _Importer:
 
 _SWAP = "are latitude and longitude the wrong way round in the map?"
 _MADE_UP = ("height_agl_m", "place")
+_GROUNDLESS = ", ground unknown: no upper limit"
+_LOOK_M = 20.0  # between places below a span where the ground is looked up
+_KINDS_SHOWN = 5
 _CUT_HIGHER_M = 20.0  # than its towers, a span that is cut off where the terrain ends: it may hang over a valley
 
 

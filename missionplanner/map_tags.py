@@ -51,6 +51,16 @@ HEIGHTS = (
     *("structure_height", "h", "h_m", "hoehe", "hoehe_m", "masthoehe", "masthoehe_m", "gesamthoehe", "gesamthoehe_m"),
     *("bauhoehe", "hauteur", "altezza", "altura"),
 )
+_WHOLE_HEIGHTS = (
+    *("hoehe_ueber_grund", "hoehe_ueber_grund_m", "hoehe_ueber_gelaende", "hoehe_ueber_gelaende_m", "hoehe_ue_grund"),
+    *("hoehe_ue_grund_m", "hoehe_ue_gelaende", "hoehe_ueber_gok", "hoehe_ue_gok", "hoehe_ueber_boden", "hoehe_gok"),
+    *("hoehe_agl", "mast_hoehe", "mast_hoehe_m", "turmhoehe", "turmhoehe_m", "height_above_ground", "agl", "agl_m"),
+    *("height_above_ground_m", "height_above_ground_level", "mast_height", "mast_height_m", "pole_height", "hgt"),
+    *("pole_height_m", "total_height", "total_height_m", "hauteur_m", "hauteur_hors_sol", "altezza_m", "altura_m"),
+)
+"""Heights too, but never by the start of their names: ``hoehe_uebe`` may be an elevation."""
+_LOOKS_HIGH = re.compile(r"hoehe|height|hgt|hauteur|altezza|altura|(^|_)(h|agl)(_|$)")
+_ELEVATION = re.compile(r"(^|_)(nn|nhn|amsl|msl|ele|elev|elevation|sea|z)(_|$)|meer|adria|gelaendehoehe|ground_height")
 _HEIGHTS_FT = ("height_ft", "tower_height_ft", "structure_height_ft", "height_feet")
 LINES = (
     *("line", "line_name", "line_id", "line_no", "line_nr", "line_ref", "leitung", "leitungsname", "leitungsnr"),
@@ -75,9 +85,10 @@ NORTHINGS = ("y", "northing", "north", "n", "hochwert", "nordwert", "utm_n", "y_
 
 _SHAPEFILE_NAME = 10  # Shapefiles cut names off there
 
-_BUILT = ("power", "disused:power", "abandoned:power", "construction:power")
-_ROPED = ("aerialway", "disused:aerialway", "abandoned:aerialway", "construction:aerialway")
-KEYS = (*_BUILT, *_ROPED, "man_made", "generator:source")
+_BUILT, _ROPED, _MADE = (
+    (key, f"disused:{key}", f"abandoned:{key}", f"construction:{key}") for key in ("power", "aerialway", "man_made")
+)
+KEYS = (*_BUILT, *_ROPED, *_MADE, "generator:source")
 """OpenStreetMap's keys that tell what a thing is."""
 _SUPPORTS = {"tower", "pole", "portal", "terminal"}
 _WIRES = {"line", "minor_line"}
@@ -109,19 +120,20 @@ def kind(feature: MapFeature) -> Kind:
     roped = value(tags, _ROPED)
     if shape == "line" and (_hidden(tags) or (power and power[1] == "cable" and tags.get("location") != "overhead")):
         return "underground"
-    if power and shape == "point" and power[1] in _SUPPORTS:
+    if power and power[1] in _SUPPORTS:  # large ones are drawn as areas, portals as lines
         return "tower"
     if power and shape == "line" and power[1] in {*_WIRES, "cable"}:
         return "power"
     if power and power[1] == "generator" and tags.get("generator:source") == "wind":
         return "turbine" if shape != "line" or _closed(feature) else "other"
     if roped:
-        if shape == "point":
-            return "pylon" if roped[1] == "pylon" else "other"
+        if roped[1] == "pylon":
+            return "pylon"
         return "aerialway" if shape == "line" and roped[1] not in _ON_THE_GROUND else "other"
-    if tags.get("man_made") in _TALL:
+    made = made_of(tags)
+    if made in _TALL:
         return "mast" if shape != "line" or _closed(feature) else "other"
-    if feature.openstreetmap or power or "man_made" in tags or shape == "area":
+    if feature.openstreetmap or power or made or shape == "area":
         return "other"
     return _kind_by_type(feature)
 
@@ -131,14 +143,35 @@ def _kind_by_type(feature: MapFeature) -> Kind:
     named = value(feature.tags, _TYPES)
     said = plain(named[1]) if named else ""
     if feature.shape == "point":
-        if re.search(r"station|umspann|trafo|schalt|transformer|substation|building|gebaeude", said):
+        carries = re.search(r"mast|tower|pole|pylon", said)  # a transformer on a pole stands on a pole
+        if not carries and re.search(r"station|umspann|trafo|schalt|transformer|substation|building|gebaeude", said):
             return "other"
         return "turbine" if re.search(r"wind_?(turbine|kraft|energie|rad)", said) else "tower"
-    if re.search(r"erdkabel|underground|kabel|^cable|submarine", said) and "seilbahn" not in said:
+    in_the_air = re.search(r"seilbahn|luft|frei|overhead|aerial", said)
+    if re.search(r"erdkabel|underground|kabel|^cable(?!_car)|submarine", said) and not in_the_air:
         return "underground"
     if re.search(r"seilbahn|ski_?lift|sessellift|chair|gondola|ropeway|aerialway|cable_car", said):
         return "aerialway"
     return "other" if re.search(r"road|strasse|river|fluss|grenze|boundary", said) else "power"
+
+
+def made_of(tags: Mapping[str, str]) -> str:
+    """Return what a man-made thing is, whether or not it is in use; nothing: it is not called man-made."""
+    found = value(tags, _MADE)
+    return found[1] if found else ""
+
+
+def called(feature: MapFeature) -> str:
+    """Return what a map calls the kind of a thing that planning does not know."""
+    found = next((f for keys in (_BUILT, _ROPED, _MADE, _TYPES) if (f := value(feature.tags, keys))), None)
+    return f"{found[0]}={found[1]}" if found else f"{feature.shape} without a type that is known"
+
+
+def unread_heights(feature: MapFeature) -> tuple[str, ...]:
+    """Return attributes that look like heights above ground, of a thing none of whose is read as one."""
+    if feature.openstreetmap or height_m(feature) is not None:
+        return ()
+    return tuple(name for name in feature.tags if _LOOKS_HIGH.search(name) and not _ELEVATION.search(name))
 
 
 def _hidden(tags: Mapping[str, str]) -> bool:
@@ -182,6 +215,7 @@ def height_m(feature: MapFeature) -> tuple[str, float] | None:
         It is no height.
     """
     found = value(feature.tags, (*HEIGHTS, *_HEIGHTS_FT))
+    found = found or next(((name, feature.tags[name]) for name in _WHOLE_HEIGHTS if name in feature.tags), None)
     if found is None:
         return None
     name, text = found
