@@ -13,8 +13,8 @@ from __future__ import annotations
 import copy
 import math
 import warnings
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice, pairwise
 from typing import Literal
@@ -54,6 +54,10 @@ _EVEN_S = 10.0  # flight times that differ by less are equal
 _MEND = 0.995
 _MENDS = 4
 _OWN_MAX = 30_000_000  # ways, up to which the solver knows every vehicle's own home
+PLACES_MAX = 150
+"""How many places a sortie has at most: an ArduPilot holds some 700 items, and each place takes about four."""
+
+_NO_BARS: Mapping[tuple[int, str], str] = {}
 _ASCENTS, _MANY, _PATIENCE = 200, 600, 10
 
 
@@ -95,6 +99,7 @@ def assign(
     seed: int,
     budget_share: Sequence[float] | None = None,
     done: Collection[str] = (),
+    barred: Mapping[tuple[int, str], str] = _NO_BARS,
     costs: TravelCosts | None = None,
 ) -> Assignment:
     """Share out visits by the mission's objective; the same scene, visits and seed give the same, bit for bit.
@@ -102,8 +107,10 @@ def assign(
     Parameters
     ----------
     scene : of an open mission, without routes
-    budget_share : of each vehicle, how much of its battery a tour may take; default: all but its reserve
+    budget_share : of each vehicle, how much of its battery a tour may take; default: all but its reserve. To inspect
+        what is so far off that this is not enough, a tour may take all but the reserve.
     done : targets that are not asked for any more
+    barred : why a vehicle (index of the scene's tasks) is not to inspect a target
     costs : of exactly these visits; default: :func:`.travel_costs`
 
     Raises
@@ -111,8 +118,66 @@ def assign(
     InfeasibleError
         The wind is too strong for somebody.
     """
-    problem = _Problem.of(scene, visits, budget_share, done, costs)
+    problem = _Problem.of(scene, visits, budget_share, done, costs, barred)
     return problem.assignment(_solve(problem, seed))
+
+
+def relieved(
+    scene: Scene,
+    visits: Sequence[Visit],
+    tours: Sequence[Tour],
+    *,
+    budget_share: Sequence[float],
+    barred: Mapping[tuple[int, str], str],
+    costs: TravelCosts,
+) -> tuple[Tour, ...] | None:
+    """Return tours of which those that take too much are shorter: others have room for what they leave.
+
+    A vehicle without a tour in one of the tours' rounds may fly one more then. None: nothing is to be moved, or there
+    is no room. The tours are of what :func:`assign` made of the same costs.
+    """
+    problem = _Problem.of(scene, visits, budget_share, (), costs, barred)
+    number = {id(form): k for k, form in enumerate(costs.forms)}
+    plan = tuple(_Route(tour.vehicle, tuple(number[id(visit)] for visit in tour.visits)) for tour in tours)
+    rounds = sorted({tour.round for tour in tours})
+    if all(map(problem.fits, plan)):
+        return None
+    moved = _Moves(problem, plan, len(rounds)).relieved()
+    if moved is None:
+        return None
+    found: list[Tour] = []
+    for k, route in enumerate(moved):
+        flown = {tour.round for tour in (*tours, *found) if tour.vehicle == route.vehicle}
+        when = tours[k].round if k < len(tours) else max(set(rounds) - flown)
+        if route.forms:
+            of = tuple(costs.forms[form] for form in route.forms)
+            found.append(Tour(route.vehicle, when, of, problem.route_s(route), problem.needs([route])[0]))
+    return tuple(sorted(found, key=lambda tour: (tour.round, tour.vehicle)))
+
+
+def _without_barred(costs: TravelCosts, barred: Collection[tuple[int, str]]) -> TravelCosts:
+    """Return costs in which a vehicle has no way to what it is barred from: a model of its own."""
+    times, shares = [costs.time_s], [costs.energy_share]
+    inspection_s, inspection_share = [costs.inspection_s], [costs.inspection_share]
+    model = costs.model.copy()
+    for v in sorted({vehicle for vehicle, _ in barred}):
+        m = int(costs.model[v])
+        shut = [k for k, form in enumerate(costs.forms) if (v, form.target) in barred]
+        for of, all_ in ((costs.time_s, times), (costs.energy_share, shares)):
+            own = of[m].copy()
+            own[:, shut] = own[shut, :] = np.inf
+            all_.append(own[np.newaxis])
+        inspection_s.append(costs.inspection_s[m : m + 1])
+        inspection_share.append(costs.inspection_share[m : m + 1])
+        model[v] = sum(map(len, times)) - 1
+    return replace(
+        costs,
+        model=model,
+        time_s=np.concatenate(times),
+        energy_share=np.concatenate(shares),
+        inspection_s=np.concatenate(inspection_s),
+        inspection_share=np.concatenate(inspection_share),
+    )
 
 
 def share_out(
@@ -152,6 +217,8 @@ class _Problem:
     settings: mission.Assignment
     names: tuple[str, ...]  # of the vehicles
     budget: FloatArray  # (V,)
+    allowed: FloatArray  # (V,) all but the reserve
+    alone: FloatArray  # (V, F) what each form takes alone
     weights: dict[str, float]  # of targets that were not done
     targets: dict[str, tuple[int, ...]]  # that can be reached: their visits
     unreachable: tuple[LeftOut, ...]
@@ -164,11 +231,14 @@ class _Problem:
         budget_share: Sequence[float] | None,
         done: Collection[str],
         costs: TravelCosts | None,
+        barred: Mapping[tuple[int, str], str] = _NO_BARS,
     ) -> _Problem:
         inspection = scene.mission.inspection
         if inspection is None or inspection.assignment is None or scene.towers is None:
             raise MissionError("inspection.assignment: expected this field, got none: nothing is to be shared out")
         found = travel_costs(scene, visits) if costs is None else costs
+        if barred:
+            found = _without_barred(found, barred)
         budget = 1.0 - found.reserve_share if budget_share is None else np.asarray(budget_share, dtype=float)
         of: dict[str, list[int]] = {}
         for index, visit in enumerate(found.visits):
@@ -182,6 +252,8 @@ class _Problem:
             settings=inspection.assignment,
             names=names,
             budget=budget,
+            allowed=1.0 - found.reserve_share,
+            alone=_alone(found),
             weights={target: of_towers.get(target, mean) for target in of},
             targets={},
             unreachable=(),
@@ -191,9 +263,11 @@ class _Problem:
             why = next((w for w in (problem._why_unreachable(k) for k in indices) if w is not None), None)
             if why is None:
                 problem.targets[target] = tuple(indices)
-            else:
-                unreachable.append(LeftOut(target, why))
-        return cls(found, problem.settings, names, budget, problem.weights, dict(problem.targets), tuple(unreachable))
+                continue
+            at_m = found.visits[indices[0]].viewpoints[0].position_m
+            whys = [(float(np.hypot(*(scene.tasks[v].home_m - at_m)[:2])), v) for v, t in barred if t == target]
+            unreachable.append(LeftOut(target, barred[min(whys)[1], target] if whys else why))
+        return replace(problem, unreachable=tuple(unreachable))
 
     @property
     def vehicles(self) -> int:
@@ -214,11 +288,17 @@ class _Problem:
 
     def _why_unreachable(self, visit: int) -> str | None:
         """Return why no vehicle can fly a visit alone, and what helps; None: one can."""
-        needs = [(self.needs([_Route(v, (f,))])[0], v) for v in range(self.vehicles) for f in self.forms[visit]]
-        if any(need <= self.budget[v] + _SAME for need, v in needs):
+        forms = list(self.forms[visit])
+        if any(len(self.costs.forms[f].viewpoints) > PLACES_MAX for f in forms):
+            return (
+                f"expected at most {PLACES_MAX} places in a sortie, got more in {self.costs.visits[visit].name} alone"
+            )
+        alone = self.alone[:, forms].min(axis=1)
+        if (alone <= self.allowed + _SAME).any():
             return None
         name = self.costs.visits[visit].name
-        need, v = min(needs, key=lambda n: n[0] - self.budget[n[1]])
+        v = int(np.argmin(alone - self.allowed))
+        need = float(alone[v])
         if not math.isfinite(need):
             return (
                 f"no vehicle has a way to {name}: it is walled in, below a ceiling or beyond the terrain: move homes, "
@@ -226,7 +306,7 @@ class _Problem:
             )
         return (
             f"to fly to {name} alone takes {need:.1%} of the battery of {self.names[v]}, the least of all, allowed "
-            f"{self.budget[v]:.0%}: move a home nearer to it, or take a larger battery (energy, endurance_s)"
+            f"{self.allowed[v]:.0%}: move a home nearer to it, or take a larger battery (energy, endurance_s)"
         )
 
     # what routes take
@@ -259,7 +339,18 @@ class _Problem:
         return found
 
     def fits(self, route: _Route) -> bool:
-        return bool(self.needs([route])[0] <= self.budget[route.vehicle] + _SAME)
+        if self.places_of(route.forms) > PLACES_MAX:
+            return False
+        return bool(self.needs([route])[0] <= self.budget_of(route) + _SAME)
+
+    def places_of(self, forms: Sequence[int]) -> int:
+        return sum(len(self.costs.forms[form].viewpoints) for form in forms)
+
+    def budget_of(self, route: _Route) -> float:
+        """Return how much a tour may take: as much as its furthest visit takes alone, if that is more than others."""
+        v = route.vehicle
+        furthest = max((float(self.alone[v, form]) for form in route.forms), default=0.0)
+        return float(max(self.budget[v], min(furthest, self.allowed[v])))
 
     # what plans are worth
 
@@ -340,6 +431,21 @@ class _Problem:
             f"needs more sorties than {self.settings.sorties_max} of each vehicle: raise "
             "inspection.assignment.sorties_max, or add vehicles"
         )
+
+
+def _alone(costs: TravelCosts) -> FloatArray:
+    """Return what each form takes of each vehicle's battery (V, F) alone, on returning from wherever it takes most."""
+    rows = []
+    for v in range(len(costs.model)):
+        m, home, count = costs.model[v], costs.home(v), len(costs.forms)
+        out, back = costs.energy_share[m, home, :count], costs.energy_share[m, :count, home]
+        need: FloatArray = out + back
+        if costs.returns:
+            above_m = np.maximum(costs.return_height_m[v] - costs.top_height_m[v], 0.0)
+            need = np.maximum(need + costs.top_share[v] + costs.higher_share_m[v] * above_m, out + costs.home_share[v])
+        known = np.isfinite(costs.time_s[m, home, :count] + costs.time_s[m, :count, home])
+        rows.append(np.where(known, need, np.inf))
+    return np.array(rows)
 
 
 # --- simple ways
@@ -603,7 +709,7 @@ class _Search:
         """Whether a battery is not enough for some way home; the solver reckons with more then."""
         problem, found = self._problem, False
         for route, need in zip(plan, problem.needs(plan), strict=True):
-            v, over = route.vehicle, need - problem.budget[route.vehicle]
+            v, over = route.vehicle, need - problem.budget_of(route)
             if over <= _SAME:
                 continue
             found = True
@@ -667,7 +773,9 @@ class _Moves:
     def _look_at(self, k: int) -> None:
         problem, route = self._problem, self._routes[k]
         more = self._more(route, problem.costs.energy_share)
-        spare = problem.budget[route.vehicle] - float(problem.along(route, problem.costs.energy_share).sum())
+        budget = np.minimum(problem.alone[route.vehicle], problem.allowed[route.vehicle])
+        budget = np.maximum(budget, problem.budget_of(route))
+        spare = budget - float(problem.along(route, problem.costs.energy_share).sum())
         self._more_s[k] = self._more(route, problem.costs.time_s).min(axis=0)
         self._fits[k] = more.min(axis=0) <= spare + _SAME
 
@@ -746,6 +854,35 @@ class _Moves:
                 return longer
         return None
 
+    def relieved(self) -> tuple[_Route, ...] | None:
+        """Return the tours, those that took too much shorter, and at their end one more of who may still fly one."""
+        problem, moves = self._problem, self
+        for k in range(len(self._routes)):
+            while not problem.fits(moves._routes[k]):
+                found = moves._without_one(k)
+                if found is None:
+                    return None
+                moves = found
+        return tuple(moves._routes)
+
+    def _without_one(self, k: int) -> _Moves | None:
+        """Return the same with one visit of a tour in another, where that makes all the least longer; None: no room."""
+        problem, route = self._problem, self._routes[k]
+        best: tuple[float, _Moves] | None = None
+        for n, form in enumerate(route.forms):
+            shorter = _Route(route.vehicle, route.forms[:n] + route.forms[n + 1 :])
+            left = self._with_route(k, shorter)
+            left._fits[k] = False
+            visit = int(problem.costs.visit[form])
+            to = next(left._with_visit(visit), None)
+            if to is None:
+                continue
+            flown_s = sum(problem.route_s(r) for r in to._routes if r.forms)
+            if best is None or flown_s < best[0]:
+                to._look_at(k)
+                best = flown_s, to
+        return None if best is None else best[1]
+
     def evener(self) -> _Plan | None:
         """Return a plan in which one visit is another's, so that flight times differ less; None: there is none."""
         problem = self._problem
@@ -823,6 +960,7 @@ class _Model:
                 share[:, k] += sum(costs.energy_share[m, a, b] for a, b in pairwise(option))
             if costs.returns:
                 self._add_returns(share, costs, own, return_height_m)
+            self._discount(share, problem, own)
             np.fill_diagonal(time_s, 0.0)  # as the solver will have it
             np.fill_diagonal(share, 0.0)
             times.append(_whole(time_s, _TICK_S))
@@ -840,6 +978,7 @@ class _Model:
                         location=len(clients),
                         prize=round(choice.prize_s / _TICK_S),
                         required=required and alone,
+                        delivery=[problem.places_of(choice.options[0])],
                         group=None if alone else len(groups),
                     )
                 )
@@ -855,6 +994,16 @@ class _Model:
             duration_matrices=times,  # type: ignore[arg-type]
             groups=groups,
         )
+
+    def _discount(self, share: FloatArray, problem: _Problem, own: npt.NDArray[np.intp]) -> None:
+        """Let visits that take more than a tour may, alone, take just as much as that, half of it on either way."""
+        count = len(self._options)
+        ends = np.array([(option[0], option[-1]) for option in self._options], dtype=np.intp).reshape(-1, 2)
+        for v in own.tolist():
+            alone = np.minimum(problem.alone[v], problem.allowed[v])
+            half = 0.5 * np.maximum(alone - problem.budget[v], 0.0)
+            share[count + v, :count] -= half[ends[:, 0]]
+            share[:count, count + v] -= half[ends[:, 1]]
 
     def _add_returns(
         self, share: FloatArray, costs: TravelCosts, own: npt.NDArray[np.intp], return_height_m: FloatArray
@@ -896,6 +1045,7 @@ class _Model:
             end_depot=vehicle,
             profile=self._group_of[vehicle],
             max_distance=max(0, math.floor(budget / _SHARE)),
+            capacity=[PLACES_MAX],
             unit_distance_cost=0,
             unit_duration_cost=1,
             shift_duration=round(longest_s / _TICK_S) if limited else _BLOCKED,
@@ -968,7 +1118,9 @@ def _tours_min(problem: _Problem, visits: Sequence[int]) -> int:
     """Return a lower bound on the tours through visits, by the energy of the shortest tree that joins them."""
     costs = problem.costs
     graph = _Graph.of(problem, visits, costs.energy_share, costs.inspection_share)
-    most = float(problem.budget.max())
+    forms = [form for visit in visits for form in problem.forms[visit]]
+    alone = np.minimum(problem.alone[:, forms], problem.allowed[:, np.newaxis])  # a tour to what is far off may take
+    most = float(max(problem.budget.max(), alone.max(initial=0.0)))
     tours = 1
     while tours < len(visits) and graph.bound(np.zeros(len(visits)), tours)[0] > tours * most + _SAME:
         tours += 1

@@ -1,10 +1,11 @@
 """A whole inspection: an open mission becomes rounds of sorties, each an ordinary mission that is planned and proven.
 
 Views are found (:mod:`.views`), shared out among the vehicles and their sorties (:mod:`.assignment`), and every round
-is planned as a mission of its own: each vehicle from its home through the places of its tour and back. What cannot be
-planned or proven so is shared out again with less for the vehicle that it is about; two who cannot be kept apart fly
-one after the other; a target to which no way is found is left out, by name. Nothing is dropped silently, and less than
-``inspection.share_min`` is refused.
+is planned as a mission of its own: each vehicle from its home through the places of its tour and back. A tour that
+takes too much of a battery leaves some to others with room, in its round or a later one; where nobody has room, all is
+shared out again. Two who cannot be kept apart fly one after the other, and so do the halves of a tour that is not
+proven as a whole. A target to which a vehicle has no way is another's or, where nobody has one, left out, by name.
+Nothing is dropped silently, and less than ``inspection.share_min`` is refused.
 """
 
 from __future__ import annotations
@@ -15,21 +16,22 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from missionplanner import mission, planner, views, wind
-from missionplanner.assignment import Assignment, Tour, assign
+from missionplanner.assignment import Assignment, Tour, assign, relieved
 from missionplanner.errors import InfeasibleError, MissionError
 from missionplanner.mission import Area, Direction, Fleet, Inspection, Mission, Place, Point, Stop
 from missionplanner.plan import FleetPlan
 from missionplanner.planner import UnprovenError, Watch
 from missionplanner.returns import UnreturnableError
 from missionplanner.scene import Scene, build_open_scene, build_scene
+from missionplanner.travel import TravelCosts, travel_costs
 from missionplanner.views import LeftOut, Viewpoint, Visit
 
 _NAME_MAX = 40
-_ATTEMPTS = 6
-_SPARE = 0.93
+_ATTEMPTS = 8
+_SPARE = 0.96
 """Of what a tour may take of the battery: what it is expected to take, since planned ways are a little longer."""
-_TIGHTER, _LOOSER = 0.97, 0.8
-"""Of that, once a vehicle's battery was not enough: less than fits by its figures, or what is tried without any."""
+_TIGHTER = 0.985
+"""Of that, once a vehicle's battery was not enough: less than fits by its figures."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,21 +244,28 @@ class _Search:
     visits: tuple[Visit, ...]
     left_out: dict[str, LeftOut]
     budget: list[float] = field(init=False)
+    _todo: tuple[Visit, ...] = field(init=False)
+    _costs: TravelCosts = field(init=False)
+    _barred: dict[tuple[int, str], str] = field(init=False, default_factory=dict)
     _known: dict[tuple[object, ...], Round] = field(init=False, default_factory=dict)
     _problem: InfeasibleError | None = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self.budget = [_SPARE * (1.0 - vehicle.reserve_share) for vehicle in self.scene.mission.vehicles]
+        self._todo = tuple(visit for visit in self.visits if visit.target not in self.done)
+        self._costs = travel_costs(self.scene, self._todo)
 
     def plan(self) -> InspectionPlan:
         for _ in range(_ATTEMPTS):
             self.watch("assignment", 0.0)
             found = assign(
                 self.scene,
-                [v for v in self.visits if v.target not in self.done and v.target not in self.left_out],
+                self._todo,
                 seed=self.seed,
                 budget_share=self.budget,
                 done=self.done,
+                barred=self._barred,
+                costs=self._costs,
             )
             self.watch("assignment", 1.0)
             try:
@@ -279,16 +288,13 @@ class _Search:
     def _rounds(self, found: Assignment) -> tuple[Round, ...]:
         rounds: list[Round] = []
         waiting = _by_round(found.tours)
-        later: tuple[Tour, ...] = ()  # of the first that waits: tours which cannot be flown together with its others
         while waiting:
             try:
                 rounds.append(self._round(waiting[0], len(rounds) + 1))
+                del waiting[0]
             except InfeasibleError as error:
-                waiting[0], moved = self._parted(waiting[0], len(rounds) + 1, error)
-                later += moved
-                continue
-            waiting[0:1] = [later] if later else []
-            later = ()
+                self._problem = error
+                waiting = self._changed(waiting, len(rounds) + 1, error)
         return tuple(replace(r, tours=tuple(replace(tour, round=k) for tour in r.tours)) for k, r in enumerate(rounds))
 
     def _round(self, tours: Sequence[Tour], number: int) -> Round:
@@ -315,19 +321,17 @@ class _Search:
             raise InfeasibleError(f"round {number}: {error}") from error
         return Round(scene, planner.plan_fleet(scene, seed=self.seed, watch=watch), tuple(tours))
 
-    def _parted(
-        self, tours: Sequence[Tour], number: int, error: InfeasibleError
-    ) -> tuple[tuple[Tour, ...], tuple[Tour, ...]]:
-        """Return who flies in a round that was not proven, and who flies after them: two that disturb each other.
+    def _changed(self, waiting: list[tuple[Tour, ...]], number: int, error: InfeasibleError) -> list[tuple[Tour, ...]]:
+        """Return the rounds from one on that was not proven, with changes that may help.
 
         Raises
         ------
         _ReassignError
-            It is about single vehicles: they get less to do, or what they cannot do is left out.
+            All is to be shared out again.
         """
-        self._problem = error
+        tours = waiting[0]
         if self._less_energy(tours, error):
-            raise _ReassignError
+            return self._relieved(waiting)
         pair = isinstance(error, UnreturnableError) and len(error.vehicles) > 1
         if pair and len(tours) > 1:
             unable = []
@@ -336,13 +340,57 @@ class _Search:
             unable = [(tour, problem) for tour, problem in alone if problem is not None]
         else:
             unable = [(tours[0], error)]
+        again, short = False, False
         for tour, problem in unable:
-            if not self._less_energy([tour], problem) and not self._without_ways(tour, number):
-                self.budget[tour.vehicle] *= _LOOSER
-        if unable:
+            if self._less_energy([tour], problem):
+                short = True
+            elif self._without_ways(tour, number):
+                again = True
+            else:  # each of its visits can be flown, but not one after the other
+                waiting = self._halved(waiting, tour, problem)
+        if again:
             raise _ReassignError
-        moves = self._disturbed(tours, error)
-        return tuple(tour for tour in tours if tour is not moves), (moves,)
+        if short:
+            return self._relieved(waiting)
+        return waiting if unable else self._later(waiting, (self._disturbed(tours, error),))
+
+    def _relieved(self, waiting: list[tuple[Tour, ...]]) -> list[tuple[Tour, ...]]:
+        """Return rounds in which tours that take too much have left some to others."""
+        tours = [tour for round_ in waiting for tour in round_]
+        found = relieved(
+            self.scene, self._todo, tours, budget_share=self.budget, barred=self._barred, costs=self._costs
+        )
+        if found is None:
+            raise _ReassignError
+        return _by_round(found)
+
+    def _later(self, waiting: list[tuple[Tour, ...]], moved: Sequence[Tour]) -> list[tuple[Tour, ...]]:
+        """Return rounds of which the first is without some tours; these are one round of their own, the next."""
+        first = tuple(tour for tour in waiting[0] if tour not in moved)
+        return _numbered([first, tuple(moved), *waiting[1:]])
+
+    def _halved(self, waiting: list[tuple[Tour, ...]], tour: Tour, problem: InfeasibleError) -> list[tuple[Tour, ...]]:
+        """Return rounds in which the second half of a tour is flown in the next in which its vehicle has none.
+
+        Raises
+        ------
+        InfeasibleError
+            It is a single visit, or there would be more sorties than are allowed.
+        """
+        assignment = _assignment(self.scene)
+        most = 1 if assignment.objective == "priority" else assignment.sorties_max
+        free = next((k for k, r in enumerate(waiting) if k > 0 and all(t.vehicle != tour.vehicle for t in r)), None)
+        if len(tour.visits) < 2 or (free is None and tour.round + len(waiting) >= most):
+            raise InfeasibleError(f"{self.scene.tasks[tour.vehicle].name}: its tour is not proven: {problem}")
+        middle = len(tour.visits) // 2
+        halves = [replace(tour, visits=tour.visits[:middle]), replace(tour, visits=tour.visits[middle:])]
+        changed = [list(round_) for round_ in waiting]
+        changed[0] = [halves[0] if other.vehicle == tour.vehicle else other for other in changed[0]]
+        if free is None:
+            changed.append([halves[1]])
+        else:
+            changed[free].append(halves[1])
+        return _numbered(changed)
 
     def _alone(self, tour: Tour, number: int) -> InfeasibleError | None:
         """Return why a tour cannot be flown even alone; None: it can."""
@@ -356,26 +404,47 @@ class _Search:
         """Let those take less of their batteries of whom too little was left; False where it is not about that."""
         if not isinstance(error, UnprovenError):
             return False
-        names = {self.scene.tasks[tour.vehicle].name: tour.vehicle for tour in tours}
+        names = {self.scene.tasks[tour.vehicle].name: tour for tour in tours}
         short = [f for f in error.problems if f.check == "energy" and f.vehicle in names]
         for finding in short:
+            tour = names[finding.vehicle]
+            if len({visit.target for visit in tour.visits}) == 1:
+                why = f"{finding.vehicle} cannot fly to it alone: {finding}"
+                self._barred[tour.vehicle, tour.visits[0].target] = why
+                continue
             fits = 1.0
             if finding.value and finding.required and finding.unit == "":
                 fits = min(1.0, finding.required / finding.value)
-            self.budget[names[finding.vehicle]] *= fits * _TIGHTER
+            reckoned = min(tour.energy_share or math.inf, self.budget[tour.vehicle])
+            self.budget[tour.vehicle] = reckoned * fits * _TIGHTER
         return bool(short)
 
     def _without_ways(self, tour: Tour, number: int) -> bool:
-        """Leave out the targets of a tour that cannot be flown to even alone; False where there are none."""
-        vehicle = self.scene.tasks[tour.vehicle].name
+        """Bar a vehicle from the targets of its tour that it cannot fly to even alone; False where there are none.
+
+        Others that cannot, either, are barred until one is found that can, the nearest first.
+        """
         found = False
         for visit in tour.visits:
-            problem = self._alone(replace(tour, visits=(visit,)), number)
-            if problem is not None:
-                why = f"{visit.name}: {vehicle} cannot be shown to fly there and back: {problem}"
-                self.left_out[visit.target] = LeftOut(visit.target, why)
+            if self._bars(tour.vehicle, visit, number):
                 found = True
+                at_m = visit.viewpoints[0].position_m
+                away_m = [float(math.dist(task.home_m[:2], at_m[:2])) for task in self.scene.tasks]
+                for v in sorted(range(len(away_m)), key=away_m.__getitem__):
+                    if v != tour.vehicle and not self._bars(v, visit, number):
+                        break
         return found
+
+    def _bars(self, vehicle: int, visit: Visit, number: int) -> bool:
+        """Whether a vehicle cannot fly to a visit even alone; it is barred from the target then."""
+        if (vehicle, visit.target) in self._barred:
+            return True
+        problem = self._alone(Tour(vehicle, 0, (visit,), 0.0, 0.0), number)
+        if problem is not None:
+            name = self.scene.tasks[vehicle].name
+            why = f"{visit.name}: {name} cannot be shown to fly there and back: {problem}"
+            self._barred[vehicle, visit.target] = why
+        return problem is not None
 
     def _disturbed(self, tours: Sequence[Tour], error: InfeasibleError) -> Tour:
         """Return whose tour is flown later: the shorter one of the two that are named, else the shortest of all."""
@@ -395,6 +464,13 @@ def _by_round(tours: Sequence[Tour]) -> list[tuple[Tour, ...]]:
         tuple(sorted((t for t in tours if t.round == number and t.visits), key=lambda t: t.vehicle))
         for number in numbers
     ]
+
+
+def _numbered(rounds: Sequence[Sequence[Tour]]) -> list[tuple[Tour, ...]]:
+    """Return rounds whose tours say so, after those before them; without empty ones."""
+    first = min(tour.round for round_ in rounds for tour in round_)
+    filled = [round_ for round_ in rounds if round_]
+    return [tuple(replace(tour, round=first + k) for tour in round_) for k, round_ in enumerate(filled)]
 
 
 def _signature(tour: Tour) -> Iterator[str]:

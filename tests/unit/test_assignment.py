@@ -13,7 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from missionplanner.assignment import Assignment, Way, assign, share_out
+from missionplanner import assignment
+from missionplanner.assignment import Assignment, Way, assign, relieved, share_out
 from missionplanner.geodesy import FloatArray
 from missionplanner.plan import Action
 from missionplanner.scene import Scene
@@ -304,3 +305,71 @@ def test_too_few_sorties_take_what_weighs_most() -> None:
     done = {visit.target for tour in few.tours for visit in tour.visits}
     assert {"T4", "T7"} <= done
     assert not assign(scene(8, 1, weights, sorties_max=8), visits, seed=1, costs=costs).left_out
+
+
+def test_what_is_so_far_off_that_a_tour_may_not_be_filled_is_inspected_still() -> None:
+    """A tour to it may take all but the reserve, whatever tours are filled up to; beyond that, the reserve is told."""
+    visits = visits_of(3, 2, reversible=False)
+    costs = costs_of(visits, 2, np.random.default_rng(5))
+    far = costs.energy_share.copy()
+    far[:, :, 2] += 0.78 - min(far[v, costs.home(v), 2] + far[v, 2, costs.home(v)] for v in (0, 1))
+    costs = replace(costs, energy_share=far)
+    found = assign(scene(3, 2), visits, seed=1, costs=costs, budget_share=[0.7, 0.7])
+    assert not found.left_out
+    (tour,) = (t for t in found.tours if any(visit.name == "T2.0" for visit in t.visits))
+    assert 0.7 < tour.energy_share <= 0.8
+    assert all(t.energy_share <= 0.7 for t in found.tours if t is not tour)
+    far[:, :, 2] += 0.1
+    (left,) = assign(scene(3, 2), visits, seed=1, costs=costs, budget_share=[0.7, 0.7]).left_out
+    assert left.target == "T2"
+    assert "allowed 80%" in left.why
+
+
+def test_who_is_barred_from_a_target_leaves_it_to_others() -> None:
+    """It is left out only where nobody is left, for the reason of the nearest."""
+    visits = visits_of(4, 2, reversible=True)
+    costs = costs_of(visits, 2, np.random.default_rng(5))
+    place = scene(4, 2)
+    for mine in (0, 1):
+        barred = {(mine, "T2"): "a wall", (mine, "T3"): "a wall"}
+        found = assign(place, visits, seed=1, costs=costs, barred=barred)
+        assert not found.left_out
+        flown = {visit.target for tour in found.tours for visit in tour.visits if tour.vehicle == mine}
+        assert not flown & {"T2", "T3"}
+    barred = {(0, "T2"): "the further one's", (1, "T2"): "the nearer one's"}
+    found = assign(place, visits, seed=1, costs=costs, barred=barred)
+    assert [(left.target, left.why) for left in found.left_out] == [("T2", "the nearer one's")]
+
+
+@pytest.mark.parametrize("objective", ["makespan", "priority"])
+def test_no_tour_has_more_places_than_a_vehicle_holds(monkeypatch: pytest.MonkeyPatch, objective: str) -> None:
+    monkeypatch.setattr(assignment, "PLACES_MAX", 5)
+    visits = visits_of(4, 2, reversible=True)  # of two places each
+    costs = costs_of(visits, 2, np.random.default_rng(5))
+    costs = replace(costs, energy_share=0.1 * costs.energy_share, home_share=0.1 * costs.home_share)
+    found = assign(scene(4, 2, objective=objective, sorties_max=4), visits, seed=1, costs=costs)
+    assert found.tours
+    assert all(sum(len(visit.viewpoints) for visit in tour.visits) <= 5 for tour in found.tours)
+    assert len(found.left_out) == (0 if objective == "makespan" else 2)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_tour_that_takes_too_much_leaves_some_to_others(seed: int) -> None:
+    """All is still flown once, within budgets; who takes enough already keeps what it has."""
+    visits = visits_of(6, 2, reversible=True)
+    costs = costs_of(visits, 3, np.random.default_rng(seed))
+    costs = replace(costs, energy_share=0.4 * costs.energy_share, home_share=0.4 * costs.home_share)
+    place = scene(6, 3)
+    found = assign(place, visits, seed=seed, costs=costs)
+    longest = max(found.tours, key=lambda tour: tour.energy_share)
+    budget = [0.8] * 3
+    budget[longest.vehicle] = 0.8 * longest.energy_share
+    now = relieved(place, visits, found.tours, budget_share=budget, barred={}, costs=costs)
+    assert now is not None
+    flown = [[visit.name for tour in tours for visit in tour.visits] for tours in (found.tours, now)]
+    assert sorted(flown[0]) == sorted(flown[1])
+    assert all(tour.energy_share <= budget[tour.vehicle] + 1e-9 for tour in now)
+    assert len({(tour.vehicle, tour.round) for tour in now}) == len(now)
+    assert {tour.round for tour in now} <= {tour.round for tour in found.tours}
+    assert relieved(place, visits, now, budget_share=budget, barred={}, costs=costs) is None
+    assert relieved(place, visits, found.tours, budget_share=[0.1] * 3, barred={}, costs=costs) is None
