@@ -177,6 +177,44 @@ def test_what_the_order_was_taken_from_is_told(labels: list[str], by: str) -> No
     assert along(found, wire) in ([(0, 0), (200, 0), (400, 0), (600, 0)], [(600, 0), (400, 0), (200, 0), (0, 0)])
 
 
+def test_towers_further_apart_than_any_span_are_lines_of_their_own() -> None:
+    towers = [tower(x, y, name=f"{side}{x}") for side, y in (("A", 0), ("B", 11_000)) for x in (0, 300, 600)]
+    found = read_line_map(towers)
+    assert {frozenset(along(found, wire)) for wire in found.wires} == {
+        frozenset((x, y) for x in (0, 300, 600)) for y in (0, 11_000)
+    }
+    assert all("lines of their own" in wire.ordered_by for wire in found.wires)
+
+
+def test_an_order_column_makes_no_span_that_there_cannot_be() -> None:
+    found = read_line_map([tower(x, line="A", order=str(k)) for k, x in enumerate((0, 300, 9000, 9300, 20_000))])
+    assert [len(wire.supports) for wire in found.wires] == [2, 2]
+    assert all(wire.ordered_by.startswith("their order column, lines of their own") for wire in found.wires)
+    assert len(found.alone) == 1
+
+
+def test_a_tower_drawn_as_an_area_carries_the_line_that_ends_at_its_corner() -> None:
+    corners = places([(600, -15), (630, -15), (630, 15), (600, 15), (600, -15)])
+    large = MapFeature(
+        "line", corners, {"power": "tower", "ref": "9"}, "map, way 4", "", ("1", "2", "3", "4", "1"), True
+    )
+    drawn = MapFeature(
+        "line", places([(0, -15), (300, -15), (600, -15)]), {"power": "line"}, "map", "", ("8", "9", "1")
+    )
+    found = read_line_map([large, drawn])
+    (wire,) = found.wires
+    end = found.supports[wire.supports[-1]]
+    assert (end.label, end.tagged) == ("9", True)
+    assert along(found, wire)[-1] == (615, 0)
+
+
+def test_what_is_left_out_is_counted_by_its_type() -> None:
+    left = [tower(0, 50, type="Umspannwerk"), tower(9, 50, type="Umspannwerk"), tower(0, 90, man_made="survey_point")]
+    found = read_line_map([line(row(0, 200, 400)), *left, line(row(0, 9), power="cable")])
+    assert found.unknown == {"type=Umspannwerk": 2, "man_made=survey_point": 1}
+    assert found.underground == 1
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_no_stretch_of_the_way_through_scattered_towers_is_better_turned_round(seed: int) -> None:
     scattered = np.random.default_rng(seed).uniform(0, 2000, (11, 2)).round().tolist()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import pytest
 import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from pyproj import CRS
 from rasterio.transform import Affine
 
 from missionplanner.errors import MissionError
@@ -20,7 +22,7 @@ from missionplanner.geodesy import LocalFrame
 from missionplanner.line_map import read_line_map
 from missionplanner.line_mission import NO_TERRAIN, ImportedMission, Wishes, assumed_of, imported_mission
 from missionplanner.map_tags import MapFeature
-from missionplanner.mission import Cylinder, FlatTerrain, Inspection, Mission, OverheadLine, parse_mission
+from missionplanner.mission import Cylinder, FlatTerrain, Inspection, Mission, NoFly, OverheadLine, parse_mission
 from missionplanner.scene import build_check_scene
 from tests.rasters import write_tif
 
@@ -270,6 +272,50 @@ def test_a_pole_of_no_line_is_an_obstacle_and_is_told() -> None:
     assert any("1 tower on no line, so obstacles only (x7)" in note for note in made.notes)
 
 
+def test_a_tower_is_as_high_as_its_highest_line_needs() -> None:
+    above = line(*((x, 0.0) for x in range(0, 2001, 250)), ref="9", voltage="380000")
+    _, mission, inspection = made_of(MAIN, above, lines=("110kV",))
+    assert {t.height_m for t in inspection.towers} == {60}
+    assert {s.height_agl_m for s in lines_of(mission)["9"].supports} == {60}
+    assert inspection.safety_distance_m == 5  # the obstacle's, not 3
+    assert isinstance(inspection.views.distance_m, float)
+    assert inspection.views.distance_m >= 16 + 10  # beside the wider conductors
+
+
+def test_what_towers_say_of_their_voltage_counts() -> None:
+    towers = [point(x, 0, power="tower", voltage="380000") for x in (0, 250, 500)]
+    _, _, inspection = made_of(line((0, 0), (250, 0), (500, 0), ref="A"), *towers)
+    assert {t.height_m for t in inspection.towers} == {60}
+    assert inspection.conductor_radius_m == 16
+
+
+def test_the_distance_is_that_of_the_highest_line_around() -> None:
+    _, mission, inspection = made_of(MAIN, line((0, 400), (400, 400), ref="9", voltage="765000"), lines=("161",))
+    assert inspection.safety_distance_m == 14
+    assert {v.safety.obstacle_m for v in mission.vehicles} == {14}
+
+
+def test_a_given_height_is_the_least_of_other_lines_towers() -> None:
+    _, mission, inspection = made_of(
+        MAIN,
+        SMALL,
+        point(400, 500, power="pole", ref="x"),
+        point(0, 0, power="tower", height="28"),
+        tower_height_m=30.0,
+    )
+    assert {t.height_m for t in inspection.towers} == {28, 30}
+    assert {s.height_agl_m for s in lines_of(mission)["7"].supports} == {30}
+    assert cylinders_of(mission)["x"].top_height_agl_m == 30
+    _, mission, _ = made_of(MAIN, SMALL, tower_height_m=10.0)
+    assert {s.height_agl_m for s in lines_of(mission)["7"].supports} == {16}  # an obstacle is never less than assumed
+
+
+def test_what_is_left_out_or_not_read_is_told() -> None:
+    made, _, _ = made_of(MAIN, point(0, 900, type="Umspannwerk"), point(900, 900, name="T", hoehe_uebe="51"))
+    assert any("1 of type=Umspannwerk" in note for note in made.notes)
+    assert any("columns not read: hoehe_uebe" in note for note in made.notes)
+
+
 @given(
     others=st.lists(
         st.lists(st.tuples(st.integers(-1800, 3800), st.integers(-1800, 1800)), min_size=2, max_size=5, unique=True),
@@ -397,6 +443,102 @@ def test_other_lines_are_cut_off_where_the_terrain_ends_and_go_on_where_it_begin
         assert 1700 < east_m < 1800
         assert height_m == 16 + 20  # it may hang over a valley that nobody knows
     assert scene.obstacles.names
+
+
+def with_hole(path: Path, west: float, south: float, east: float, north: float) -> Path:
+    """Write flat ground at 500 m with a void."""
+    cell = 25.0
+    x, y = -3000.0 + cell * (np.arange(320) + 0.5), 3000.0 - cell * (np.arange(240) + 0.5)
+    hole = ((x > west) & (x < east))[None] & ((y > south) & (y < north))[:, None]
+    heights = np.where(hole, -9999.0, 500.0).astype(np.float32)
+    return write_tif(path, heights, Affine(cell, 0, -3000, 0, -cell, 3000.0), FRAME.crs.to_wkt(), nodata=-9999.0)
+
+
+def test_what_stands_over_a_void_of_the_terrain_has_no_upper_limit(tmp_path: Path) -> None:
+    path = with_hole(tmp_path / "hole.tif", 800, 300, 1200, 700)
+    made, mission, _ = made_of(
+        MAIN,
+        point(1000, 500, man_made="mast", height="40", name="over"),
+        point(780, 500, man_made="mast", height="40", name="beside"),
+        point(400, 500, man_made="mast", height="40", name="far"),
+        point(1100, 600, power="tower", ref="lone"),
+        terrain=path,
+        terrain_as_written=path,
+    )
+    found = cylinders_of(mission)
+    assert {name: o.top_height_agl_m for name, o in found.items()} == {
+        "over": None,
+        "beside": None,
+        "far": 40,
+        "lone": None,
+    }
+    assert any(re.match(r"3 obstacles without an upper limit.*\(lone, over, beside\)", note) for note in made.notes)
+    build_check_scene(mission, tmp_path, [])
+
+
+def test_masts_outside_of_the_area_that_reach_into_it_are_kept(tmp_path: Path) -> None:
+    path = ground(tmp_path / "ground.tif")
+    for terrain in (None, path):
+        _, mission, _ = made_of(
+            MAIN,
+            point(3150, 0, man_made="mast", height="300", name="near"),  # 210 m around, 150 m beyond the border
+            point(3250, 0, man_made="mast", height="300", name="away"),
+            terrain=terrain,
+            terrain_as_written=path,
+        )
+        assert set(cylinders_of(mission)) == {"near"}
+    build_check_scene(mission, tmp_path, [])
+
+
+def outlines_of(mission: Mission) -> list[Any]:
+    return [
+        shapely.Polygon([FRAME.to_local(p.lat_deg or 0.0, p.lon_deg or 0.0, 0.0)[:2] for p in o.polygon])
+        for o in mission.obstacles
+        if isinstance(o, NoFly) and o.top_height_agl_m is None and o.top_alt_amsl_m is None
+    ]
+
+
+@pytest.mark.parametrize(
+    "way",
+    [
+        ((850, 500), (1150, 500)),  # all of it over the void
+        ((400, 500), (1000, 500), (1600, 500)),  # a tower in it
+        ((400, 500), (1000, 500)),  # an end in it
+    ],
+)
+def test_other_lines_over_voids_are_kept(tmp_path: Path, way: tuple[XY, ...]) -> None:
+    """Held against shapely: spans with known ends, and prisms without a top, cover the line with its width."""
+    path = with_hole(tmp_path / "hole.tif", 800, 300, 1200, 700)
+    _, mission, _ = made_of(
+        MAIN, line(*way, voltage="20000", ref="7"), terrain=path, terrain_as_written=path, lines=("161",)
+    )
+    kept = [
+        shapely.LineString([FRAME.to_local(s.lat_deg or 0.0, s.lon_deg or 0.0, 0.0)[:2] for s in o.supports]).buffer(4)
+        for o in lines_of(mission).values()
+    ]
+    covered = shapely.union_all([*kept, *outlines_of(mission)]).buffer(0.05)
+    assert outlines_of(mission)
+    assert covered.covers(shapely.LineString(way).buffer(4, cap_style="flat"))
+    build_check_scene(mission, tmp_path, [])
+
+
+def test_a_line_just_outside_of_the_area_is_kept_where_its_width_reaches_in() -> None:
+    _, mission, _ = made_of(MAIN, line((0, 1003), (400, 1003), voltage="20000", ref="7"), lines=("161",))
+    assert set(lines_of(mission)) == {"7"}
+
+
+def test_heights_above_the_ellipsoid_need_and_take_the_geoids(tmp_path: Path) -> None:
+    crs = CRS.from_epsg(4979)  # latitude, longitude, ellipsoidal height
+    (south, west), (north, east) = places([(-3000, -3000), (5000, 3000)]).tolist()
+    heights = np.full((60, 80), 500.0, dtype=np.float32)
+    transform = Affine((east - west) / 80, 0, west, 0, (south - north) / 60, north)
+    path = write_tif(tmp_path / "ell.tif", heights, transform, crs.to_wkt())
+    with pytest.raises(MissionError, match=r"ell.tif: .*above the ellipsoid: give --geoid-undulation,"):
+        made_of(MAIN, terrain=path)
+    _, mission, _ = made_of(MAIN, terrain=path, terrain_as_written=path, geoid_undulation_m=48.0)
+    scene = build_check_scene(mission, tmp_path, [])
+    assert scene.towers is not None
+    np.testing.assert_allclose(scene.towers.top_m[:, 2], 500 - 48 + 35, atol=0.1)
 
 
 def test_swapped_coordinates_are_found_out_by_the_terrain(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import osmium
 import pyogrio
 import pytest
 import shapely
-from pyproj import Transformer
+from pyproj import CRS, Transformer
 
 from adapters import map_files
 from adapters.map_files import read_maps
@@ -96,6 +96,62 @@ def test_a_shapefile_without_prj_asks_for_its_system(tmp_path: Path) -> None:
         read_maps([path])
     (found,) = read_maps([path], "EPSG:25832").features
     np.testing.assert_allclose(found.lat_lon_deg, TOWERS, atol=1e-7)
+
+
+BESSEL_UNKNOWN = (
+    'PROJCS["unnamed",GEOGCS["GCS_unknown",DATUM["D_Unknown_based_on_Bessel_1841_ellipsoid",'
+    'SPHEROID["Bessel_1841",6377397.155,299.1528128]],PRIMEM["Greenwich",0.0],UNIT["Degree",0.0174532925199433]],'
+    'PROJECTION["Gauss_Kruger"],PARAMETER["False_Easting",4500000.0],PARAMETER["False_Northing",0.0],'
+    'PARAMETER["Central_Meridian",12.0],PARAMETER["Scale_Factor",1.0],PARAMETER["Latitude_Of_Origin",0.0],'
+    'UNIT["Meter",1.0]]'
+)
+
+
+def shapefile(path: Path, x: float, y: float, prj: str) -> Path:
+    shape = np.array([shapely.to_wkb(shapely.Point(x, y))], dtype=object)
+    names = [np.array(["T1"], dtype=object)]
+    pyogrio.raw.write(path, shape, names, fields=["name"], geometry_type="Point", crs="EPSG:31468")
+    path.with_suffix(".prj").write_text(prj)
+    return path
+
+
+def test_an_unknown_datum_is_refused_or_taken_as_given(tmp_path: Path) -> None:
+    x, y = Transformer.from_crs(4326, 31468, always_xy=True).transform(11.5, 49.95)
+    path = shapefile(tmp_path / "gk.shp", x, y, BESSEL_UNKNOWN)
+    with pytest.raises(MissionError, match=r"gk.shp: .*whose datum is known.*--crs EPSG:"):
+        read_maps([path])
+    told = read_maps([path], "EPSG:31468")
+    np.testing.assert_allclose(told.features[0].lat_lon_deg, [[49.95, 11.5]], atol=1e-6)
+    assert any("datum" in note for note in told.notes)
+    assert any("good to 3 m only" in note for note in told.notes)
+
+
+def test_an_unknown_datum_within_metres_of_wgs84_is_told(tmp_path: Path) -> None:
+    x, y = Transformer.from_crs(4326, 25832, always_xy=True).transform(11.5, 49.95)
+    prj = CRS.from_user_input("+proj=utm +zone=32 +ellps=GRS80 +units=m").to_wkt("WKT1_ESRI")
+    told = read_maps([shapefile(tmp_path / "utm.shp", x, y, prj)])
+    np.testing.assert_allclose(told.features[0].lat_lon_deg, [[49.95, 11.5]], atol=1e-5)
+    assert any("taken for WGS 84" in note for note in told.notes)
+
+
+def test_good_transformations_are_not_worth_a_word(tmp_path: Path) -> None:
+    x, y = Transformer.from_crs(4326, 25832, always_xy=True).transform(11.5, 49.95)
+    assert read_maps([shapefile(tmp_path / "utm.shp", x, y, CRS.from_epsg(25832).to_wkt("WKT1_ESRI"))]).notes == ()
+
+
+@pytest.mark.parametrize("crs", [None, "EPSG:25832", "EPSG:4258"])
+def test_latitudes_of_a_table_are_degrees_whatever_is_given_for_others(tmp_path: Path, crs: str | None) -> None:
+    path = tmp_path / "towers.csv"
+    path.write_text("name,lat,lon\nT1,49.95,11.5\n")
+    (found,) = read_maps([path], crs).features
+    np.testing.assert_allclose(found.lat_lon_deg, [[49.95, 11.5]], atol=1e-7)
+
+
+def test_degrees_in_columns_of_a_projected_system_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "towers.csv"
+    path.write_text("name,x,y\nT1,11.5,49.95\n")
+    with pytest.raises(MissionError, match=r"towers.csv, line 2: .*got degrees"):
+        read_maps([path], "EPSG:25832")
 
 
 def test_a_zipped_shapefile_is_read_from_any_folder_in_it(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from missionplanner.errors import MissionError
-from missionplanner.map_tags import MapFeature, height_m, iso_dates, kind, plain, value, voltage_kv
+from missionplanner.map_tags import MapFeature, height_m, iso_dates, kind, plain, unread_heights, value, voltage_kv
 
 
 def feature(shape: str = "point", *, osm: bool = False, places: int = 2, **tags: str) -> MapFeature:
@@ -44,6 +44,8 @@ def test_names_that_shapefiles_cut_off_are_known() -> None:
         ({"height": "100'"}, 30.48),
         ({"height_ft": "100"}, 30.48),
         ({"structure_": "22"}, 22.0),
+        ({plain("Höhe über Grund"): "51,5"}, 51.5),
+        ({plain("Höhe ü. Grund [m]"): "51,5"}, 51.5),
     ],
 )
 def test_heights_are_read_with_their_units(tags: dict[str, str], metres: float) -> None:
@@ -55,6 +57,14 @@ def test_heights_are_read_with_their_units(tags: dict[str, str], metres: float) 
 @pytest.mark.parametrize("tags", [{"ele": "431"}, {"ground_elev_m": "431"}, {"elevation": "431"}, {"z": "431"}, {}])
 def test_elevations_are_no_heights(tags: dict[str, str]) -> None:
     assert height_m(feature(**tags)) is None
+
+
+def test_columns_that_may_be_heights_and_are_not_read_are_told() -> None:
+    assert unread_heights(feature(hoehe_uebe="51", name="T1", ele="431", hoehe_nn="480", hoehenlinie="x")) == (
+        "hoehe_uebe",
+        "hoehenlinie",
+    )
+    assert unread_heights(feature(hoehe_uebe="51", height="51")) == ()
 
 
 @pytest.mark.parametrize("text", ["tall", "-3", "0", "35 cm", "1e400"])
@@ -121,6 +131,17 @@ def test_voltages_are_read_as_volts_or_kilovolts(tags: dict[str, str], osm: bool
         (feature("line", aerialway="magic_carpet"), "other"),
         (feature("line", osm=True, highway="path"), "other"),
         (feature("line", name="110 kV A - B"), "power"),
+        (feature(type="Trafomast"), "tower"),
+        (feature(type="Maststation"), "tower"),
+        (feature(type="Trafostation"), "other"),
+        (feature(disused__man_made="mast"), "mast"),
+        (feature("area", power="tower"), "tower"),
+        (feature("line", places=5, power="tower"), "tower"),
+        (feature("line", osm=True, power="portal"), "tower"),
+        (feature("area", aerialway="pylon"), "pylon"),
+        (feature("line", art="Luftkabel"), "power"),
+        (feature("line", type="overhead cable"), "power"),
+        (feature("line", type="cable"), "underground"),
         (feature("line", art="Erdkabel"), "underground"),
         (feature("line", art="Seilbahn"), "aerialway"),
         (feature("line", places=5, man_made="silo"), "mast"),
