@@ -69,6 +69,7 @@ _WANTED = frozenset(
         mavlink.MAVLINK_MSG_ID_CAMERA_IMAGE_CAPTURED,
     }
 )
+_NO_PHOTO = (mavlink.CAMERA_FEEDBACK_VIDEO, mavlink.CAMERA_FEEDBACK_BADEXPOSURE)
 _OF_CAMERAS = ("CAMERA_FEEDBACK", "CAMERA_IMAGE_CAPTURED")
 _MOVED_M = 2.0
 _PLAN_STEP_S = 0.02
@@ -181,7 +182,7 @@ class Track:
 
     sysid: int
     trajectory: Trajectory  # since the first position of all logs
-    photos: Trajectory | None  # None: no log tells of any
+    photos: Trajectory | None  # None: no log tells of any, not even of failed ones
 
 
 def read_tracks(paths: Sequence[Path], frame: LocalFrame) -> tuple[tuple[Track, ...], tuple[str, ...]]:
@@ -209,11 +210,14 @@ def read_tracks(paths: Sequence[Path], frame: LocalFrame) -> tuple[tuple[Track, 
 
 
 def _photos(records: Records, frame: LocalFrame, begin_s: float) -> Trajectory | None:
-    """Return when and where photos were taken: once each, though some are told of repeatedly."""
+    """Return when and where photos were taken: once each, though some are told of repeatedly; None: nobody tells.
+
+    Who tells of failed ones only has taken none.
+    """
     taken: dict[tuple[str, int, int, int], tuple[float, FloatArray]] = {}
     for at_s, m in records:
         match m.get_type():
-            case "CAMERA_FEEDBACK":  # ArduPilot
+            case "CAMERA_FEEDBACK" if m.flags not in _NO_PHOTO:  # ArduPilot
                 key, where = ("feedback", m.img_idx, m.lat, m.lng), (m.lat, m.lng, m.alt_msl)
             case "CAMERA_IMAGE_CAPTURED" if m.capture_result == 1:  # PX4, and cameras
                 key, where = ("captured", m.image_index, m.lat, m.lon), (m.lat, m.lon, m.alt / 1e3)
@@ -222,7 +226,8 @@ def _photos(records: Records, frame: LocalFrame, begin_s: float) -> Trajectory |
         lat, lon, alt_m = where
         taken.setdefault(key, (at_s, frame.to_local(wire_to_degrees(lat), wire_to_degrees(lon), alt_m)))
     if not taken:
-        return None
+        tells = any(m.get_type() in _OF_CAMERAS for _, m in records)
+        return Trajectory(np.zeros(0), np.zeros((0, 3))) if tells else None
     times_s, places_m = zip(*taken.values(), strict=True)
     return Trajectory(np.array(times_s) - begin_s, np.array(places_m))
 

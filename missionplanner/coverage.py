@@ -1,9 +1,18 @@
 """What was seen: of every tower each side asked for, of every span its conductors, judged by where vehicles flew.
 
 A side of a tower was seen if a vehicle was near enough and within the angles that its view allows, with the ground
-below the line of sight, and stood still there about as long as asked for. A place of a span was seen from a side if a
-vehicle passed it so. Where a vehicle's log tells of the photos it took, what was not photographed was not seen. Nothing
-is assumed between two positions further apart in time than ``GAP_S``: what the log does not show was not seen.
+and all solids off the line of sight, and stood still there about as long as asked for. A place of a span was seen from
+a side if a vehicle passed it so. Nothing is assumed between two positions further apart in time than ``GAP_S``: what
+the log does not show was not seen.
+
+**Which way did the camera look?** Logs seldom tell. A stand or photo counts for what is to be looked at from nearest to
+where it happened (by the views' places and the ways along spans), no further off than a vehicle may stray: right of one
+line is often left of the next. Where the plan of the flight is known, it counts only for what that was to look at.
+Where views that look different ways are as near (but for straying), it counts for all of them if the flight was to look
+at all and stood there, or passed, as often as there are of them, and else for none.
+
+**Photos.** Where any log tells of photos, even of failed ones, what was not photographed was not seen, by no vehicle.
+Where none does, positions alone decide, and :attr:`Coverage.by_position` says so.
 
 Without :class:`.Assignment` there are no views: a tower counts then when a vehicle passed its top within
 ``inspection.range_m`` (as the proof counts plans).
@@ -12,7 +21,7 @@ Without :class:`.Assignment` there are no views: a tower counts then when a vehi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +32,7 @@ from scipy.spatial import cKDTree
 from missionplanner import camera, views
 from missionplanner.camera import CameraModel
 from missionplanner.geodesy import FloatArray
+from missionplanner.kernels import SpaceArrays
 from missionplanner.plan import Trajectory
 from missionplanner.scene import Scene
 from missionplanner.spans import Span
@@ -40,6 +50,9 @@ _HOLD_SLACK_S = 1.0  # an autopilot counts a hold from where it is near, not fro
 _ANGLE_SLACK_DEG = 10.0  # views are at most that high, and vehicles a little off them
 _PIECE_M = 5.0
 _UP = np.array([0.0, 0.0, 1.0])
+_APART_COS = 0.5  # views that differ by less look the same way: who shows one may show the other
+_PASSED_SHARE = 0.9  # of the way that as many passes are long
+_PASS_GAP = 3.0  # times as far apart as photos usually are: not one pass
 _SIGHTINGS = 3  # of a place of a span: whose line of sight is looked at, the nearest first
 
 
@@ -85,6 +98,12 @@ class Coverage:
     towers: tuple[SideSeen, ...]
     spans: tuple[SpanSeen, ...]
     weight: Mapping[str, float]  # of the towers
+    by_position: bool = False  # photos were asked for, and no log tells of any
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a reader of the figures must know, a line each."""
+        return ("judged by position only: no log tells of photos",) if self.by_position else ()
 
     @property
     def done(self) -> frozenset[str]:
@@ -124,6 +143,7 @@ class Coverage:
             "spans_share": None if self.spans_share is None else round(self.spans_share, 4),
             "done": sorted(self.done),
             "missing": list(self.missing),
+            "notes": list(self.notes),
             "towers": [_row_json(row) for row in self.towers],
             "spans": [_row_json(row) for row in self.spans],
         }
@@ -144,6 +164,7 @@ def measure(
     *,
     names: Sequence[str] = (),
     photos: Sequence[Trajectory | None] = (),
+    targets: Sequence[Collection[str] | None] = (),
 ) -> Coverage:
     """Return what flights have seen.
 
@@ -153,6 +174,7 @@ def measure(
     tracks : recorded positions, one for each flight of a vehicle
     names : whose, for each track
     photos : when and where each track's vehicle took photos; None: its log does not tell
+    targets : what each was to look at by its plan; None: that is not known
 
     Raises
     ------
@@ -160,22 +182,47 @@ def measure(
         A camera that is not known.
     """
     lens = None if scene.mission.inspection is None else camera.of(scene.mission.inspection.camera)
-    flown = _Flown(tracks, names or [""] * len(tracks), photos or [None] * len(tracks))
+    none = [None] * len(tracks)
+    flown = _Flown(tracks, names or [""] * len(tracks), photos or none, targets or none)
     towers = scene.towers
     weight = {} if towers is None else dict(zip(towers.names, towers.weight.tolist(), strict=True))
     if not scene.mission.is_open:
         return Coverage(tuple(_passes(scene, flown, lens)), (), weight)
     tube_m = max((task.limits.tube_m for task in scene.tasks), default=0.0)
-    sides = tuple(_side(scene.terrain, flown, sight, lens, tube_m) for sight in views.sights(scene))
+    sights, along = views.sights(scene), views.span_sights(scene)
+    setting = _Setting(scene.terrain, views.hiding(scene), lens, tube_m)
+    places, ways = _Places(sights, tube_m), _Ways(along, tube_m)
+    sides = tuple(_side(setting, flown, places, sight) for sight in sights)
     evidence = _Evidence.of(flown, photographed=lens is not None)
-    spans = tuple(_span(scene.terrain, flown, evidence, sight, lens, tube_m) for sight in views.span_sights(scene))
-    return Coverage(sides, spans, weight)
+    spans = tuple(_span(setting, flown, ways, evidence, sight) for sight in along)
+    photographed = any(sight.photos for sight in sights) or (lens is not None and len(along) > 0)
+    by_position = photographed and len(flown.t_s) > 0 and not flown.told.any()
+    return Coverage(sides, spans, weight, by_position)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Setting:
+    """What is looked through, and with what."""
+
+    terrain: Terrain
+    solids: SpaceArrays | None
+    lens: CameraModel | None
+    tube_m: float
+
+    def in_sight(self, from_m: FloatArray, to_m: FloatArray) -> npt.NDArray[np.bool_]:
+        return views.in_sight(self.terrain, from_m, to_m, self.solids)
 
 
 class _Flown:
     """Where vehicles were, closely sampled between positions that are not far apart in time."""
 
-    def __init__(self, tracks: Sequence[Trajectory], names: Sequence[str], photos: Sequence[Trajectory | None]) -> None:
+    def __init__(
+        self,
+        tracks: Sequence[Trajectory],
+        names: Sequence[str],
+        photos: Sequence[Trajectory | None],
+        targets: Sequence[Collection[str] | None],
+    ) -> None:
         sampled = [_samples(track) for track in tracks]
         track = [np.full(len(t_s), k) for k, (t_s, _, _) in enumerate(sampled)]
         self.names = names
@@ -186,7 +233,11 @@ class _Flown:
         self.still = np.concatenate([np.zeros(0, dtype=bool), *(_stands(*samples) for samples in sampled)])
         self.tree = cKDTree(self.position_m)
         known = [k for k, taken in enumerate(photos) if taken is not None]
-        self.told = np.isin(np.arange(len(tracks)), known)  # (tracks,) whether its log tells of photos
+        # (tracks,) whether it is known which photos it took: where one log tells of photos, the others tell of none
+        self.told = np.full(len(tracks), len(known) > 0)
+        self.targets = [None if of_track is None else frozenset(of_track) for of_track in targets]
+        follows = self.joined & self.still & np.concatenate([[False], self.still[:-1]])[: len(self.still)]
+        self.stay = np.cumsum(~follows)  # (S,) which stay each sample belongs to; who moves makes none
         taken_m = [taken.position_m for taken in photos if taken is not None]
         self.photo_m = np.concatenate([np.zeros((0, 3)), *taken_m])
         self.photo_track = np.repeat(np.array(known, dtype=np.intp), [len(at_m) for at_m in taken_m])
@@ -239,9 +290,176 @@ class _Aspect:
         return cls(np.linalg.norm(offset_m, axis=1), angle_deg, elevation_deg)
 
 
-def _side(terrain: Terrain, flown: _Flown, sight: Sight, lens: CameraModel | None, tube_m: float) -> SideSeen:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Claim:
+    """Whether what happened at places counts for a view."""
+
+    near: npt.NDArray[np.bool_]  # (N,) it is the nearest, or as near as another
+    rivals: npt.NDArray[np.intp]  # (N,) how many others, which look another way, are as near
+
+    @property
+    def sure(self) -> npt.NDArray[np.bool_]:
+        """Return which (N,) count for this view and no other."""
+        sure: npt.NDArray[np.bool_] = self.near & (self.rivals == 0)
+        return sure
+
+    @classmethod
+    def of(
+        cls,
+        own_m: FloatArray,
+        others_m: FloatArray,
+        stray_m: float,
+        apart: npt.NDArray[np.bool_],
+        group: npt.NDArray[np.intp],
+        *,
+        placed: bool,
+    ) -> _Claim:
+        """Return it of places so far (N,) from where the view is flown, and so far (N, L) from others'.
+
+        ``apart`` (L,): which look another way, at another target. ``group`` (L,): those of one are one rival.
+        """
+        nearest_m = np.minimum(others_m.min(axis=1, initial=math.inf), own_m if placed else math.inf)
+        near = own_m <= nearest_m + stray_m if placed else own_m + stray_m < nearest_m
+        close = others_m <= (nearest_m + stray_m)[:, np.newaxis]
+        rivals = np.zeros(len(own_m), dtype=np.intp)
+        for one in np.unique(group[apart]):
+            rivals += close[:, apart & (group == one)].any(axis=1)
+        return cls(near, rivals)
+
+
+class _Places:
+    """Where towers are looked at from, to tell what a stand or photo was for."""
+
+    def __init__(self, sights: Sequence[Sight], stray_m: float) -> None:
+        self._stray_m = stray_m
+        placed = [sight for sight in sights if sight.from_m is not None]
+        self._from_m = np.array([sight.from_m for sight in placed]).reshape(-1, 3)
+        self._toward = np.array([sight.toward for sight in placed]).reshape(-1, 3)
+        names = {name: k for k, name in enumerate(dict.fromkeys(sight.target for sight in sights))}
+        self._names = names
+        self._target = np.array([names[sight.target] for sight in placed], dtype=np.intp)
+        self._tree = cKDTree(self._from_m)
+
+    def claim(self, flown: _Flown, sight: Sight, position_m: FloatArray, track: npt.NDArray[np.intp]) -> _Claim:
+        """Return whether stands or photos at places (N, 3) of tracks (N,) are of a side of a tower."""
+        from_m = sight.at_m + sight.distance_m * sight.toward if sight.from_m is None else sight.from_m
+        own_m = np.linalg.norm(position_m - from_m, axis=1)
+        around_m = 2.0 * float(own_m.max(initial=0.0)) + 2.0 * self._stray_m
+        others = np.array(self._tree.query_ball_point(from_m, around_m), dtype=np.intp)
+        others_m = np.linalg.norm(position_m[:, np.newaxis] - self._from_m[others], axis=2)
+        barred = _barred(flown, track, self._names)
+        if barred is not None:
+            others_m[barred[:, self._target[others]]] = math.inf
+            own_m = np.where(barred[:, self._names[sight.target]], math.inf, own_m)
+        group = self._target[others]
+        apart = (group != self._names[sight.target]) & (self._toward[others] @ sight.toward < _APART_COS)
+        found = _Claim.of(own_m, others_m, self._stray_m, apart, group, placed=sight.from_m is not None)
+        return _Claim(found.near & np.isfinite(own_m), found.rivals)
+
+
+class _Ways:
+    """Which ways run along spans, to tell what was passed or photographed on them."""
+
+    def __init__(self, sights: Sequence[SpanSight], stray_m: float) -> None:
+        self._stray_m = stray_m
+        placed = [sight for sight in sights if sight.way_m is not None]
+        self._side = [sight.name for sight in placed]
+        self._way_m = np.array([sight.way_m for sight in placed]).reshape(-1, 2, 3)
+        self._toward = np.array([sight.toward for sight in placed]).reshape(-1, 3)
+        names = {name: k for k, name in enumerate(dict.fromkeys(sight.span.name for sight in sights))}
+        self._names = names
+        self._target = np.array([names[sight.span.name] for sight in placed], dtype=np.intp)
+        self._half_m = 0.5 * np.linalg.norm(self._way_m[:, 1] - self._way_m[:, 0], axis=1)
+        self._tree = cKDTree(self._way_m.mean(axis=1))
+
+    def claim(self, flown: _Flown, sight: SpanSight, position_m: FloatArray, track: npt.NDArray[np.intp]) -> _Claim:
+        """Return whether what happened at places (N, 3) of tracks (N,) was along a side of a span."""
+        way_m = sight.way_m
+        if way_m is None:
+            aside = sight.lateral_m * sight.toward + [0.0, 0.0, sight.vertical_m]
+            way_m = np.stack([sight.span.curve_m[0] + aside, sight.span.curve_m[-1] + aside])
+        own_m = _off_way_m(position_m, way_m)
+        around_m = float(np.linalg.norm(way_m[1] - way_m[0])) + 2.0 * float(own_m.max(initial=0.0))
+        around_m += float(self._half_m.max(initial=0.0)) + 2.0 * self._stray_m
+        found = self._tree.query_ball_point(way_m.mean(axis=0), around_m)
+        others = np.array([k for k in found if self._side[k] != sight.name], dtype=np.intp)
+        others_m = (
+            np.array([_off_way_m(position_m, self._way_m[k]) for k in others]).reshape(len(others), len(position_m)).T
+        )
+        barred = _barred(flown, track, self._names)
+        if barred is not None:
+            others_m = np.where(barred[:, self._target[others]], math.inf, others_m)
+            own_m = np.where(barred[:, self._names[sight.span.name]], math.inf, own_m)
+        apart = self._toward[others] @ sight.toward < _APART_COS
+        claim = _Claim.of(own_m, others_m, self._stray_m, apart, others, placed=sight.way_m is not None)
+        return _Claim(claim.near & np.isfinite(own_m), claim.rivals)
+
+
+def _off_way_m(position_m: FloatArray, way_m: FloatArray) -> FloatArray:
+    """Return the distances (N,) of places (N, 3) from a straight way (2, 3)."""
+    along = way_m[1] - way_m[0]
+    share = np.clip((position_m - way_m[0]) @ along / max(float(along @ along), 1e-9), 0.0, 1.0)
+    distance_m: FloatArray = np.linalg.norm(position_m - way_m[0] - share[:, np.newaxis] * along, axis=1)
+    return distance_m
+
+
+def _barred(flown: _Flown, track: npt.NDArray[np.intp], names: Mapping[str, int]) -> npt.NDArray[np.bool_] | None:
+    """Return whether what tracks (N,) show counts for none of the targets (N, T) by their plans; None: for any."""
+    if all(of_track is None for of_track in flown.targets):
+        return None
+    rows = np.array([[of is not None and name not in of for name in names] for of in flown.targets], dtype=np.bool_)
+    barred: npt.NDArray[np.bool_] = rows[track]
+    return barred
+
+
+def _planned(
+    flown: _Flown, track: npt.NDArray[np.intp], which: npt.NDArray[np.bool_]
+) -> Iterator[npt.NDArray[np.intp]]:
+    """Yield what of ``which`` (N,) belongs to each track whose plan is known."""
+    for one in np.unique(track[which]).tolist():
+        if flown.targets[one] is not None:
+            yield np.flatnonzero(which & (track == one))
+
+
+def _stands_counted(flown: _Flown, claim: _Claim, sample: npt.NDArray[np.intp], hold_s: float) -> npt.NDArray[np.bool_]:
+    """Return which stands, at samples (N,), count for a view: of as many as views look from there, all."""
+    counted = claim.sure.copy()
+    for own in _planned(flown, flown.track[sample], claim.near & ~counted):
+        stays = 0.0
+        for stay in np.unique(flown.stay[sample[own]]):
+            t_s = flown.t_s[sample[own][flown.stay[sample[own]] == stay]]
+            stays += max(1.0, float(np.ptp(t_s) + _HOLD_SLACK_S) // max(hold_s, 1.0))
+        counted[own] = hold_s <= 0.0 or stays >= 1 + claim.rivals[own].max()
+    return counted
+
+
+def _photos_counted(flown: _Flown, claim: _Claim, track: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+    """Return which photos (N,) count for a view: of as many as views look from there, all."""
+    counted = claim.sure.copy()
+    for own in _planned(flown, track, claim.near & ~counted):
+        counted[own] = len(own) >= 1 + claim.rivals[own].max()
+    return counted
+
+
+def _passes_counted(
+    flown: _Flown, claim: _Claim, track: npt.NDArray[np.intp], index: npt.NDArray[np.intp], along_m: FloatArray
+) -> npt.NDArray[np.bool_]:
+    """Return what (N,), so far along a way, counts for it: of as many passes as ways are there, all."""
+    counted = claim.sure.copy()
+    for own in _planned(flown, track, claim.near & ~counted):
+        steps_m = np.abs(np.diff(along_m[own]))
+        if len(steps_m):
+            steps_m = steps_m[(np.diff(index[own]) == 1) & (steps_m <= max(_PASS_GAP * np.median(steps_m), _PIECE_M))]
+        passes = 1 + claim.rivals[own].max()
+        long_m = passes * float(np.ptp(along_m[own]))
+        counted[own] = long_m > 0.0 and float(steps_m.sum()) >= _PASSED_SHARE * long_m
+    return counted
+
+
+def _side(setting: _Setting, flown: _Flown, places: _Places, sight: Sight) -> SideSeen:
     """Return whether a tower was seen from one side, and from where best."""
-    reach_m = views.FURTHEST * sight.distance_m + tube_m
+    lens = setting.lens
+    reach_m = views.FURTHEST * sight.distance_m + setting.tube_m
     if lens is not None:
         reach_m = min(reach_m, lens.distance_m(lens.gsd_max_mm))
     level = sight.kind != "overfly"
@@ -254,20 +472,25 @@ def _side(terrain: Terrain, flown: _Flown, sight: Sight, lens: CameraModel | Non
         if level:
             fits &= np.abs(aspect.elevation_deg) <= steepest_deg
         index = np.flatnonzero(fits)
-        return index[views.in_sight(terrain, position_m[index], np.tile(sight.at_m, (len(index), 1)))], aspect
+        return index[setting.in_sight(position_m[index], np.tile(sight.at_m, (len(index), 1)))], aspect
 
     near = np.sort(np.array(flown.tree.query_ball_point(sight.at_m, reach_m), dtype=np.intp))
     fits, aspect = fitting(flown.position_m[near])
     taken = np.array(flown.photo_tree.query_ball_point(sight.at_m, reach_m), dtype=np.intp)
     taken = taken[fitting(flown.photo_m[taken])[0]]
+    by = flown.photo_track[taken]
+    taken = taken[_photos_counted(flown, places.claim(flown, sight, flown.photo_m[taken], by), by)]
     photos = len(taken) if flown.told.any() else None
     # a vehicle whose log tells of photos has seen what it has photographed
     good = ~flown.told | np.isin(np.arange(len(flown.told)), flown.photo_track[taken]) | (sight.photos == 0)
     stood = _stood(flown, near[fits], sight.hold_s)
-    best = [k for k, ok in zip(fits.tolist(), stood & good[flown.track[near[fits]]], strict=True) if ok]
+    stands = fits[stood]
+    claim = places.claim(flown, sight, flown.position_m[near[stands]], flown.track[near[stands]])
+    counted = _stands_counted(flown, claim, near[stands], sight.hold_s)
+    best = stands[counted & good[flown.track[near[stands]]]].tolist()
     why = ""
     if not best:
-        why = _why_not(flown, near, fits, stood, reach_m, sight)
+        why = _why_not(flown, near, fits, reach_m, sight, claim, counted)
     chosen = best or fits.tolist()
     if chosen:
         k = min(chosen, key=lambda k: aspect.angle_deg[k] + abs(aspect.elevation_deg[k]) * level)
@@ -323,9 +546,10 @@ def _why_not(
     flown: _Flown,
     near: npt.NDArray[np.intp],
     fits: npt.NDArray[np.intp],
-    stood: npt.NDArray[np.bool_],
     reach_m: float,
     sight: Sight,
+    claim: _Claim,
+    counted: npt.NDArray[np.bool_],
 ) -> str:
     if not len(flown.t_s):
         return "no flight was recorded"
@@ -334,8 +558,12 @@ def _why_not(
         return f"expected a vehicle within {reach_m:.0f} m, got {nearest_m:.0f} m at the nearest"
     if not len(fits):
         return f"never within {sight.tolerance_deg:g} degrees of this side and in sight, {reach_m:.0f} m off or less"
-    if not stood.any():
+    if not len(claim.near):
         return f"nobody stood still there for {sight.hold_s:g} s"
+    if not claim.near.any():
+        return "who stood there looked at something else, by the plan or since that is looked at from nearer by"
+    if not counted.any():
+        return "others are looked at from there, too, and too few stands show that it was this one"
     return "no photo was taken from there"
 
 
@@ -360,13 +588,12 @@ class _Evidence:
         return cls(position_m, track, photo, cKDTree(position_m))
 
 
-def _span(
-    terrain: Terrain, flown: _Flown, evidence: _Evidence, sight: SpanSight, lens: CameraModel | None, tube_m: float
-) -> SpanSeen:
+def _span(setting: _Setting, flown: _Flown, ways: _Ways, evidence: _Evidence, sight: SpanSight) -> SpanSeen:
     """Return how much of a span was seen from one side."""
+    lens = setting.lens
     place_m, length_m = _pieces(sight.span)
     whole_m = float(length_m.sum())
-    reach_m = views.FURTHEST * sight.distance_m + views.sag_m(sight.span) + tube_m
+    reach_m = views.FURTHEST * sight.distance_m + views.sag_m(sight.span) + setting.tube_m
     if lens is not None:
         reach_m = min(reach_m, lens.distance_m(lens.gsd_max_mm))
     near = evidence.tree.query_ball_point(place_m[len(place_m) // 2], reach_m + 0.5 * whole_m + _PIECE_M)
@@ -376,6 +603,10 @@ def _span(
     away_m = (evidence.position_m[index] - place_m[0]) @ axis.T
     on_side = (away_m[:, 1] > 0.0) & (away_m[:, 1] <= reach_m)
     index, away_m = index[on_side], away_m[on_side]
+    track = evidence.track[index]
+    claim = ways.claim(flown, sight, evidence.position_m[index], track)
+    counted = _passes_counted(flown, claim, track, index, away_m[:, 0])
+    index, away_m = index[counted], away_m[counted]
     along_m, beside_m, above_m = away_m.T
     ahead_m = np.abs(along_m - ((place_m - place_m[0]) @ axis[0])[:, np.newaxis])
     higher_m = np.abs(above_m - (place_m[:, 2] - place_m[0, 2])[:, np.newaxis])
@@ -386,7 +617,7 @@ def _span(
     order = np.argsort(distance_m, axis=1, kind="stable")[:, :_SIGHTINGS]
     place, rank = np.nonzero(np.isfinite(np.take_along_axis(distance_m, order, axis=1)))
     by = order[place, rank]
-    visible = views.in_sight(terrain, evidence.position_m[index[by]], place_m[place])
+    visible = setting.in_sight(evidence.position_m[index[by]], place_m[place])
     place, first = np.unique(place[visible], return_index=True)  # nearer ones come first
     by = by[visible][first]
     seen_m = distance_m[place, by]

@@ -379,7 +379,8 @@ def coverage(
         "done_before": [] if asked.planned is None else sorted(asked.planned.done),
     }
     if as_json:
-        print_json(summary | {"notes": list(seen.notes), "files": {name: str(path) for name, path in files.items()}})
+        notes = [*found.notes, *seen.notes]
+        print_json(summary | {"notes": notes, "files": {name: str(path) for name, path in files.items()}})
     else:
         from missionplanner.summary import coverage_lines, coverage_table
 
@@ -402,19 +403,21 @@ class Flights:
     tracks: tuple[Trajectory, ...] = ()
     names: tuple[str, ...] = ()
     photos: tuple[Trajectory | None, ...] = ()  # None: no log tells
+    targets: tuple[frozenset[str] | None, ...] = ()  # to be looked at, by the plan; None: it is not known
     notes: tuple[str, ...] = ()  # what of logs is lost
 
     def measured(self, scene: Scene) -> Coverage:
         """Return what they have seen."""
         from missionplanner.coverage import measure
 
-        return measure(scene, self.tracks, names=self.names, photos=self.photos)
+        return measure(scene, self.tracks, names=self.names, photos=self.photos, targets=self.targets)
 
     def __add__(self, other: Flights) -> Flights:
         return Flights(
             self.tracks + other.tracks,
             self.names + other.names,
             self.photos + other.photos,
+            self.targets + other.targets,
             self.notes + other.notes,
         )
 
@@ -460,10 +463,12 @@ def _latest(folder: Path, plan: FleetPlan) -> Flights:
     log = latest_flight(folder / "logs", [vehicle.sysid for vehicle in plan.vehicles])
     tracks, notes = ((), ()) if log is None else read_tracks([log], plan.frame)
     photos = {track.sysid: track.photos for track in tracks}
+    targets = {v.sysid: frozenset(a.inspects for a in v.actions.values() if a.inspects) for v in plan.vehicles}
     return Flights(
         tuple(vehicle.trajectory for vehicle in flight.vehicles),
         tuple(vehicle.name for vehicle in flight.vehicles),
         tuple(photos.get(vehicle.sysid) for vehicle in flight.vehicles),
+        tuple(targets.get(vehicle.sysid) for vehicle in flight.vehicles),
         notes,
     )
 
@@ -486,6 +491,7 @@ def _recorded(scene: Scene, paths: Sequence[Path]) -> Flights:
                 tuple(track.trajectory for track in tracks),
                 tuple(names.get(track.sysid, f"sysid {track.sysid}") for track in tracks),
                 tuple(track.photos for track in tracks),
+                (None,) * len(tracks),
                 notes,
             )
     return flights

@@ -354,6 +354,7 @@ def _seen(planned: InspectionPlan, seen: Coverage) -> dict[str, Any]:
         "share": round(planned.share_of(seen.done | planned.done), 4),
         "targets": sorted(seen.done),
         "missing": list(seen.missing),
+        "notes": list(seen.notes),
         "spans_share": None if seen.spans_share is None else round(seen.spans_share, 4),
         "photos": _taken(seen),
     }
@@ -454,6 +455,7 @@ def inspection_lines(summary: dict[str, Any]) -> list[str]:
         photos = "" if seen["photos"] is None else f", on {seen['photos']} photos"
         spans = "" if seen["spans_share"] is None else f"; {seen['spans_share']:.1%} of the spans' length"
         lines.append(f"seen by what was flown: {seen['share']:.1%} of the towers' weight{spans}{photos}")
+        lines += [f"  {told}" for told in seen["notes"]]
         lines += [f"  not seen: {told}" for told in seen["missing"]]
     return lines
 
@@ -486,11 +488,11 @@ def coverage_table(found: Mapping[str, Any]) -> Table:
 
 
 def coverage_lines(found: Mapping[str, Any]) -> list[str]:
-    """Return what was seen in all, a line each."""
+    """Return what was seen in all, a line each, and what must be known of it."""
     lines = [f"seen: {found['share']:.1%} of the towers' weight (at least {found['share_min']:.0%})"]
     if found["spans_share"] is not None:
         lines.append(f"seen of the spans: {found['spans_share']:.1%} of their length from the sides asked for")
-    return lines
+    return [*lines, *found["notes"]]
 
 
 def _figure(value: float | None, places: int) -> str:

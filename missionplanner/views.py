@@ -16,11 +16,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from missionplanner import camera, mission
+from missionplanner import camera, kernels, mission
 from missionplanner.camera import CameraModel
 from missionplanner.clearance import Margins, legs_clear, tube_clearances, tubes_clear
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray
+from missionplanner.kernels import SpaceArrays
+from missionplanner.obstacles import indexed
 from missionplanner.plan import Action
 from missionplanner.scene import Scene
 from missionplanner.spans import Span
@@ -37,6 +39,7 @@ _MOVED_M = 0.5  # from which on it is told
 _SIGHT_STEP_M = 5.0
 _SIGHT_SAMPLES = 1 << 20
 _SAG_SAMPLES = 65
+_SIGHTS_ALONG = 17
 _QUARTER_TURN = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # to the left, of rows
 _OTHER = {"left": "right", "right": "left"}
 _ORBIT_GAP_DEG = 120.0  # an orbit whose points leave more than this between them is none
@@ -94,6 +97,7 @@ class Sight:
     hold_s: float
     photos: int
     kind: Literal["overfly", "two_sides", "four_sides", "orbit"]
+    from_m: FloatArray | None = None  # (3,) where it is flown from; None: its target is left out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +109,7 @@ class SpanSight:
     toward: FloatArray  # (3,) the level unit vector from the conductors to where they are seen from
     lateral_m: float
     vertical_m: float  # above the straight line from top to top
+    way_m: FloatArray | None = None  # (2, 3) that is flown along it; None: the span is left out
 
     @property
     def distance_m(self) -> float:
@@ -133,9 +138,21 @@ def sights(scene: Scene) -> tuple[Sight, ...]:
 
 def span_sights(scene: Scene) -> tuple[SpanSight, ...]:
     """Return the sides from which spans are to be seen, in the order of the spans."""
+    asked, conductors = _asked_along(scene)
+    if not asked or scene.mission.inspection is None:
+        return ()
+    ways = _ways(scene, _Room(scene), camera.of(scene.mission.inspection.camera), asked, conductors)
+    lost = {sight.span.name for sight, way in zip(asked, ways, strict=True) if np.isnan(way).any()}
+    return tuple(
+        sight if sight.span.name in lost else replace(sight, way_m=way) for sight, way in zip(asked, ways, strict=True)
+    )
+
+
+def _asked_along(scene: Scene) -> tuple[list[SpanSight], list[_Hung]]:
+    """Return the sides from which spans are to be seen, without ways, and how each's conductor hangs."""
     inspection = scene.mission.inspection
     if inspection is None:
-        return ()
+        return [], []
     asked = {line.name: line.spans or inspection.spans for line in inspection.lines_or_one}
     ways = {line.name: set(itertools.pairwise(line.towers)) for line in inspection.lines_or_one}
     names = [tower.name for tower in inspection.towers]
@@ -146,7 +163,8 @@ def span_sights(scene: Scene) -> tuple[SpanSight, ...]:
         ahead = names[span.towers[0]], names[span.towers[1]]
         wanted: dict[str, list[mission.SpanViews]] = {"left": [], "right": []}
         for line in span.lines:
-            if (views := asked[line]) == "none":
+            views = asked[line]
+            if views == "none":
                 continue
             # a line's left is that of its own direction, and of both where it goes there and back
             for along, turned in ((ahead, False), (ahead[::-1], True)):
@@ -156,13 +174,40 @@ def span_sights(scene: Scene) -> tuple[SpanSight, ...]:
                             wanted[_OTHER[side] if turned else side].append(views)
         for side, toward in (("left", left), ("right", -left)):
             if wanted[side]:  # of several circuits' wishes, the nearest way
-                views = min(wanted[side], key=lambda views: math.hypot(views.lateral_m, views.vertical_m))
-                found.append(SpanSight(f"{span.name}.{side}", span, toward, views.lateral_m, views.vertical_m))
-    return tuple(found)
+                near = min(wanted[side], key=lambda asked: math.hypot(asked.lateral_m, asked.vertical_m))
+                found.append(SpanSight(f"{span.name}.{side}", span, toward, near.lateral_m, near.vertical_m))
+    hung = [sight.span for sight in found]
+    return found, [_Hung(s.curve_m[0], s.curve_m[-1], sag_m(s), s.conductor.radius_m) for s in hung]
 
 
-def in_sight(terrain: Terrain, from_m: FloatArray, to_m: FloatArray) -> npt.NDArray[np.bool_]:
-    """Return whether the ground lies below the straight lines from places (N, 3) to places (N, 3); unknown: no."""
+def hiding(scene: Scene) -> SpaceArrays | None:
+    """Return the solids that one cannot see through; None: there are none.
+
+    Inspected towers and conductors hide little, and radar zones, hazards and no-fly areas without a top nothing.
+    """
+    arrays = scene.obstacles.arrays
+    towers = set() if scene.towers is None else set(scene.towers.names)
+    solid = np.isin(arrays.kind, (kernels.CYLINDER, kernels.CONE))
+    solid |= (arrays.kind == kernels.PRISM) & np.isfinite(arrays.bound[:, 4])
+    solid &= np.array([name not in towers for name in scene.obstacles.names], dtype=np.bool_)
+    kept = np.flatnonzero(solid)
+    if not len(kept):
+        return None
+    outlines = [arrays.vertices[arrays.vertex_start[k] : arrays.vertex_start[k + 1]] for k in kept]
+    start = np.concatenate([[0], np.cumsum([len(outline) for outline in outlines])]).astype(np.int64)
+    of_kept = indexed(
+        arrays.kind[kept], arrays.params[kept], arrays.bound[kept], arrays.hard[kept], np.concatenate(outlines), start
+    )
+    return scene.space._replace(obstacles=of_kept)
+
+
+def in_sight(
+    terrain: Terrain, from_m: FloatArray, to_m: FloatArray, solids: SpaceArrays | None = None
+) -> npt.NDArray[np.bool_]:
+    """Return whether straight lines from places (N, 3) to places (N, 3) run above the ground and beside ``solids``.
+
+    Where the ground is unknown: no. What stands within a solid itself, as in a no-fly area, is not hidden by any.
+    """
     seen = np.ones(len(from_m), dtype=np.bool_)
     if not len(from_m):
         return seen
@@ -174,6 +219,14 @@ def in_sight(terrain: Terrain, from_m: FloatArray, to_m: FloatArray) -> npt.NDAr
         a, b = from_m[first : first + rows, np.newaxis], to_m[first : first + rows, np.newaxis]
         x, y, z = np.moveaxis(a + share * (b - a), -1, 0)
         seen[first : first + rows] = (z > terrain.height_amsl_m(x, y)).all(axis=1)
+    if solids is not None:
+        open_ = np.flatnonzero(seen)
+        lines, ends = np.stack([from_m[open_], to_m[open_]], axis=1), np.stack([to_m[open_], to_m[open_]], axis=1)
+        apart_m, inside_m = (
+            kernels.legs_clearance(solids, np.ascontiguousarray(legs), math.inf)[:, kernels.OBSTACLE]
+            for legs in (lines, ends)
+        )
+        seen[open_] = (apart_m > 0.0) | (inside_m <= 0.0)
     return seen
 
 
@@ -208,7 +261,9 @@ def _survey_towers(scene: Scene) -> _Survey:
         by_visit = [list(v) for _, v in itertools.groupby(pairs, key=lambda row: row[0].visit)]
         kept = [_without_gaps(visit) for visit in by_visit]
         problems = [place.problem for visit in kept for _, place in visit if place.position_m is None]
-        wanted += [sight for visit in kept for sight, _ in visit]
+        wanted += [
+            sight if problems else replace(sight, from_m=place.position_m) for visit in kept for sight, place in visit
+        ]
         if problems:
             more = f" (and {len(problems) - 1} more of its views)" if len(problems) > 1 else ""
             left_out.append(LeftOut(target, problems[0] + more))
@@ -430,6 +485,7 @@ def _place(scene: Scene, asked: Sequence[Sight]) -> list[_Place]:
     orbit = np.array([sight.kind == "orbit" for sight in asked])
     furthest_m = np.minimum(FURTHEST * distance_m, _sharp_m(lens) - room.stray_m)
     asked_m = at + distance_m[:, np.newaxis] * toward
+    solids = hiding(scene)
 
     none = np.zeros(len(asked), dtype=np.bool_)
     placed = np.full((len(asked), 3), np.nan)
@@ -445,7 +501,7 @@ def _place(scene: Scene, asked: Sequence[Sight]) -> list[_Place]:
         tried_m = room.raised(_as_legs(at[index] + offset))[:, 0]
         good = _is_view(tried_m - at[index], above[index], furthest_m[index])
         index, tried_m = index[good], tried_m[good]
-        good = room.clear(_as_legs(tried_m)) & in_sight(scene.terrain, tried_m, at[index])
+        good = room.clear(_as_legs(tried_m)) & in_sight(scene.terrain, tried_m, at[index], solids)
         placed[index[good]] = tried_m[good]
 
     ground_m = scene.terrain.height_amsl_m(at[:, 0], at[:, 1])
@@ -490,7 +546,8 @@ def _problem(room: _Room, lens: CameraModel | None, sight: Sight, asked_m: Float
     if sharp_m < FURTHEST * sight.distance_m:
         further = f"raise camera.gsd_max_mm, which allows no more than {sharp_m:.1f} m, and views.distance_m"
     lack = room.problem(np.stack([asked_m, asked_m]), "lower views.below_top_m", further)
-    return lack or "expected to see it from near where it is asked for, got a hill between: choose other views"
+    between = "got a hill or an obstacle between"
+    return lack or f"expected to see it from near where it is asked for, {between}: choose other views"
 
 
 # --- visits -----------------------------------------------------------------------------------------------------------
@@ -575,16 +632,14 @@ class _Hung:
 
 def _survey_spans(scene: Scene) -> tuple[list[Visit], list[LeftOut]]:
     """Return the visits along spans, and the spans that cannot be flown along on all sides asked for."""
-    asked = span_sights(scene)
+    asked, conductors = _asked_along(scene)
     inspection = scene.mission.inspection
     if not asked or inspection is None:
         return [], []
     room, lens = _Room(scene), camera.of(inspection.camera)
-    hung = [sight.span for sight in asked]
-    conductors = [_Hung(s.curve_m[0], s.curve_m[-1], sag_m(s), s.conductor.radius_m) for s in hung]
     if lens is not None:
         _expect_time_for_photos(scene, asked, conductors, lens)
-    ways = _ways(room, lens, asked, conductors)
+    ways = _ways(scene, room, lens, asked, conductors)
     found: list[Visit] = []
     left_out: list[LeftOut] = []
     for target, of_target in itertools.groupby(enumerate(asked), key=lambda row: row[1].span.name):
@@ -636,9 +691,16 @@ def _shows(room: _Room, lens: CameraModel | None, rise_m: float, across_m: float
     return lens.gsd_mm(far_m) <= lens.gsd_max_mm and low_deg - high_deg <= _FULL_SHARE * lens.field_of_view_deg[1]
 
 
-def _ways(room: _Room, lens: CameraModel | None, asked: Sequence[SpanSight], conductors: Sequence[_Hung]) -> FloatArray:
-    """Return the ways (N, 2, 3) along spans, as near to where they are asked for as all vehicles may be; NaN: none."""
+def _ways(
+    scene: Scene, room: _Room, lens: CameraModel | None, asked: Sequence[SpanSight], conductors: Sequence[_Hung]
+) -> FloatArray:
+    """Return the ways (N, 2, 3) along spans, as near to where they are asked for as all vehicles may be; NaN: none.
+
+    One from which all is in sight is preferred to a nearer one.
+    """
+    solids = hiding(scene)
     ways = np.full((len(asked), 2, 3), np.nan)
+    hidden: dict[int, FloatArray] = {}
     begin, end = np.array([c.begin_m for c in conductors]), np.array([c.end_m for c in conductors])
     toward = np.array([sight.toward for sight in asked])
     lateral_m = np.array([sight.lateral_m for sight in asked])
@@ -676,8 +738,21 @@ def _ways(room: _Room, lens: CameraModel | None, asked: Sequence[SpanSight], con
             across_m, rise_m = _beside(leg, conductors[k], toward[k])
             near = math.hypot(across_m, rise_m) <= FURTHEST * distance_m[k] + 1e-9
             if clear and near and _shows(room, lens, rise_m, across_m, conductors[k].sag_m):
-                ways[k] = leg
+                if _all_in_sight(scene, solids, asked[k].span, leg):
+                    ways[k] = leg
+                else:
+                    hidden.setdefault(k, leg)
+    for k, leg in hidden.items():
+        if np.isnan(ways[k]).any():
+            ways[k] = leg
     return ways
+
+
+def _all_in_sight(scene: Scene, solids: SpaceArrays | None, span: Span, leg: FloatArray) -> bool:
+    """Return whether nothing stands between a way along a span and its conductor."""
+    share = np.linspace(0.0, 1.0, _SIGHTS_ALONG)
+    places_m = leg[0] + share[:, np.newaxis] * (leg[1] - leg[0])
+    return bool(in_sight(scene.terrain, places_m, span.conductor.catenary.at(share), solids).all())
 
 
 def _beside(leg: FloatArray, conductor: _Hung, toward: FloatArray) -> tuple[float, float]:
@@ -732,6 +807,8 @@ def _way_visit(scene: Scene, lens: CameraModel | None, sight: SpanSight, conduct
     moved_m = math.hypot(across_m - sight.lateral_m, rise_m - sight.vertical_m)
     if moved_m > _MOVED_M:
         notes.append(f"moved by {moved_m:.0f} m to where it is clear")
+    if not _all_in_sight(scene, hiding(scene), sight.span, leg):
+        notes.append("part of it is hidden by the ground or an obstacle")
     span_m = float(np.linalg.norm(conductor.end_m - conductor.begin_m))
     short_m = span_m - float(np.linalg.norm(leg[1] - leg[0]))
     if short_m > _MOVED_M:

@@ -135,6 +135,7 @@ def _headline(planned: InspectionPlan, troubles: Sequence[str], seen: Coverage |
     if seen is not None:
         done = len(set(planned.inspected) & seen.done)
         told += f"; {done} of them were seen from all sides" if done < len(planned.inspected) else "; all were seen"
+        told += "".join(f"; {note}" for note in seen.notes)
     return f"{told}."
 
 

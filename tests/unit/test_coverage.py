@@ -238,6 +238,123 @@ def test_conductors_between_photos_too_far_apart_were_not_seen() -> None:
     assert spans(measure(scene, [track]))["span T1-T2.left"].seen  # no log tells of photos
 
 
+# --- which way the camera looked
+
+
+PARALLEL = ((0.0, 0.0), (0.0, 200.0), (60.0, 0.0), (60.0, 200.0), (120.0, 0.0), (120.0, 200.0))
+"""Three lines, 60 m apart: right of one is left of the next."""
+
+
+def parallel(**changes: Any) -> Scene:
+    lines = [{"name": name, "towers": [f"T{k}", f"T{k + 1}"]} for name, k in (("A", 1), ("B", 3), ("C", 5))]
+    asked = {"views": TWO_SIDES["views"], "spans": {"lateral_m": 30.0}, "camera": LENS}
+    return open_scene(open_question(PARALLEL, **({"lines": lines} | asked | changes)))
+
+
+def photographed(found: Sequence[Visit]) -> Trajectory:
+    """Return a photo at every tower's view, and as many along spans as are asked for."""
+    taken = []
+    for visit in found:
+        points = [viewpoint.position_m for viewpoint in visit.viewpoints]
+        if visit.target.startswith("span"):
+            every_m = visit.viewpoints[1].action.photo_every_m
+            points = list(np.linspace(*points, 2 + int(np.linalg.norm(points[1] - points[0]) / every_m)))
+        taken += points
+    return Trajectory(np.arange(len(taken), dtype=float), np.array(taken))
+
+
+OF = {"A": {"T1", "T2", "span T1-T2"}, "B": {"T3", "T4", "span T3-T4"}, "C": {"T5", "T6", "span T5-T6"}}
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_a_line_that_nobody_visited_is_not_seen_from_its_neighbours(told: bool) -> None:
+    scene = parallel()
+    found = [visit for visit in visits(scene)[0] if visit.target not in OF["B"]]
+    taken = [photographed(found)] if told else [None]
+    unknown = measure(scene, [flown(found)], photos=taken)
+    assert not unknown.done & OF["B"]
+    assert sides(unknown)["T1.left"].seen  # nothing else is looked at from there
+    assert not sides(unknown)["T3.left"].seen
+    planned = measure(scene, [flown(found)], photos=taken, targets=[OF["A"] | OF["C"]])
+    assert planned.done == OF["A"] | OF["C"]
+    assert "looked at something else" in sides(planned)["T3.left"].why
+    assert not any(row.share for row in planned.spans if row.target == "span T3-T4")
+
+
+@pytest.mark.parametrize("told", [False, True])
+def test_who_is_to_look_both_ways_from_a_place_and_was_there_twice_has_done_so(told: bool) -> None:
+    scene = parallel()
+    found = visits(scene)[0]
+    of_a, both = [visit for visit in found if visit.target in OF["A"]], OF["A"] | OF["B"]
+    for flew, done in (([v for v in found if v.target in both], both), (of_a, frozenset())):
+        taken = [photographed(flew)] if told else [None]
+        assert measure(scene, [flown(flew)], photos=taken, targets=[both]).done == done
+    by_two = [[v for v in found if v.target in OF[line]] for line in "ABC"]
+    seen = measure(scene, [flown(own) for own in by_two], targets=[OF[line] for line in "ABC"])
+    assert seen.done == OF["A"] | OF["B"] | OF["C"]
+    # one after the other, without moving
+    right, left = (next(v for v in found if v.name == name) for name in ("T1.right", "T3.left"))
+    stood = {name for name, row in sides(measure(scene, [flown([right, left])], targets=[both])).items() if row.seen}
+    assert stood == {"T1.right", "T3.left"}
+
+
+def test_of_levels_on_one_tower_each_is_seen_from_its_own() -> None:
+    scene = open_scene(open_question(views={"distance_m": 30.0, "hold_s": 3.0, "below_top_m": [2.0, 20.0]}))
+    found = next(visit.viewpoints for visit in visits(scene)[0] if visit.name == "T2.left")
+    seen = sides(measure(scene, [still(found[0].position_m, 5.0)]))
+    assert (seen["T2.left-1"].seen, seen["T2.left-2"].seen) == (True, False)
+
+
+# --- photos
+
+
+def test_where_one_log_tells_of_photos_the_others_have_none() -> None:
+    scene = open_scene(open_question(**TWO_SIDES, camera=LENS))
+    found = visits(scene)[0]
+    of_one, others = ([v for v in found if (v.target == "T1") is first] for first in (True, False))
+    tracks = [flown(of_one), flown(others)]
+    seen = measure(scene, tracks, photos=[photographed(of_one), None])
+    assert seen.done == {"T1"}
+    assert {row.why for row in seen.towers if not row.seen} == {"no photo was taken from there"}
+    assert not seen.notes
+
+
+def test_a_dead_camera_has_seen_nothing() -> None:
+    scene = open_scene(open_question(**ALONG, camera=LENS))
+    none = Trajectory(np.zeros(0), np.zeros((0, 3)))
+    seen = measure(scene, [all_flown(scene)], photos=[none])
+    assert not seen.done
+    assert seen.spans_share == 0.0
+
+
+def test_it_says_that_positions_alone_decided() -> None:
+    scene = open_scene(open_question(**ALONG, camera=LENS))
+    assert measure(scene, [all_flown(scene)]).notes == ("judged by position only: no log tells of photos",)
+    assert "notes" in measure(scene, [all_flown(scene)]).as_json()
+    assert measure(scene, []).notes == ()
+    looked = open_scene(open_question(views=TWO_SIDES["views"] | {"photos": 0}))
+    assert measure(looked, [all_flown(looked)]).notes == ()
+
+
+# --- what stands between
+
+
+SILO = {"kind": "cylinder", "name": "silo", "center": at(-18.0, 200.0), "radius_m": 5.0}
+
+
+@pytest.mark.parametrize(("top_m", "seen"), [(60.0, False), (20.0, True)])
+def test_an_obstacle_between_hides_a_side(top_m: float, seen: bool) -> None:
+    scene = open_scene(open_question(views={"distance_m": 40.0}, obstacles=[SILO | {"top_height_agl_m": top_m}]))
+    row = sides(measure(scene, [still([-40.0, 200.0, 130.0], 4.0)]))["T2.left"]
+    assert row.seen is seen
+    hall = {"kind": "no_fly", "name": "hall", "polygon": [at(-20, 60), at(-10, 60), at(-10, 140), at(-20, 140)]}
+    for top, hides in (({"top_height_agl_m": 60.0}, True), ({}, False)):  # without a top it is airspace
+        low = open_scene(open_question(spans={"lateral_m": 45.0}, obstacles=[hall | top]))
+        way = Trajectory(np.linspace(0, 60, 241), np.linspace([-45.0, 0.0, 135.0], [-45.0, 200.0, 135.0], 241))
+        share = spans(measure(low, [way]))["span T1-T2.left"].share
+        assert (share < 0.9) is hides
+
+
 # --- missions without views
 
 

@@ -370,18 +370,21 @@ def test_one_bad_log_does_not_spoil_the_others(tmp_path: Path, plan: FleetPlan) 
 # --- tracks and photos, whatever the plan -----------------------------------------------------------------------------
 
 
-def photo(sysid: int, component: int, t_s: float, index: int, place: FloatArray, *, ardupilot: bool) -> Record:
-    """Return what a vehicle, or its camera, tells of a photo."""
+def photo(
+    sysid: int, component: int, t_s: float, index: int, place: FloatArray, *, ardupilot: bool, ok: bool = True
+) -> Record:
+    """Return what a vehicle, or its camera, tells of a photo, or of one that failed."""
     codec = mavlink.MAVLink(None, srcSystem=sysid, srcComponent=component)
     point = FRAME.geo_point(place)
     lat, lon, alt_m = round(point.lat_deg * 1e7), round(point.lon_deg * 1e7), point.alt_amsl_m
+    flags = mavlink.CAMERA_FEEDBACK_PHOTO if ok else mavlink.CAMERA_FEEDBACK_BADEXPOSURE
     if ardupilot:
         message: Any = mavlink.MAVLink_camera_feedback_message(
-            0, sysid, 0, index, lat, lon, alt_m, 30.0, 0.0, 0.0, 0.0, 0.0, mavlink.CAMERA_FEEDBACK_PHOTO, index
+            0, sysid, 0, index, lat, lon, alt_m, 30.0, 0.0, 0.0, 0.0, 0.0, flags, index
         )
     else:
         message = mavlink.MAVLink_camera_image_captured_message(
-            0, 0, 1, lat, lon, round(alt_m * 1e3), 30_000, (1.0, 0.0, 0.0, 0.0), index, 1, b""
+            0, 0, 1, lat, lon, round(alt_m * 1e3), 30_000, (1.0, 0.0, 0.0, 0.0), index, int(ok), b""
         )
     return t_s, bytes(message.pack(codec))
 
@@ -407,6 +410,17 @@ def test_tracks_and_photos_of_any_flight(tmp_path: Path, plan: FleetPlan) -> Non
     for track, vehicle in zip(tracks, (one, two), strict=True):
         planned_m = vehicle.trajectory.at(track.trajectory.t_s - STAND_S)
         assert track.trajectory.position_m == pytest.approx(planned_m, abs=0.02)
+
+
+@pytest.mark.parametrize("ardupilot", [False, True])
+def test_who_tells_of_failed_photos_only_has_taken_none(tmp_path: Path, plan: FleetPlan, ardupilot: bool) -> None:
+    one, two = plan.vehicles
+    failed = photo(1, 1 if ardupilot else 100, 20.0, 0, one.trajectory.at(20.0), ardupilot=ardupilot, ok=False)
+    (tmp_path / "all.tlog").write_bytes(logged([*records(one), *records(two), failed]))
+    (first, second), _ = read_tracks([tmp_path / "all.tlog"], FRAME)
+    assert first.photos is not None
+    assert len(first.photos.t_s) == 0
+    assert second.photos is None
 
 
 def test_logs_without_positions_hold_no_tracks(tmp_path: Path) -> None:
