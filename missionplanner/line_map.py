@@ -223,8 +223,10 @@ class _Builder:
             if old is None and first_of[k] != k:
                 old = of_point[int(first_of[k])]
             of_point.append(self._add(new, at_m[k]) if old is None else self._merge(old, new))
-            for node in filter(None, (feature.id, *feature.nodes)):
-                self._by_id[node] = of_point[-1]
+            if feature.id:
+                self._by_id[feature.id] = of_point[-1]
+            for node in feature.nodes:  # of its outline, where it is drawn as an area: lines end there
+                self._by_id.setdefault(node, of_point[-1])
             if old is None and kind(feature) == "tower":
                 self._towers.append(of_point[-1])
         _check_heights(heights)
