@@ -35,6 +35,9 @@ STEEPEST_DEG = 45.0
 """How high above what it looks at a view from the side may be, as an angle."""
 _TOLERANCE_DEG = 45.0  # within which a direction counts as the one asked for; of orbits, half the way to the next
 _SPARE_M = 0.25  # beyond what a proof asks for: places are rounded on their way to a vehicle
+_ROOM_M = 1.5
+"""How much further from obstacles a view is where it may: who is told to return near it brakes and climbs."""
+_ROOM_SHARE = 0.35  # of its distance: so far it is moved for that at most
 _MOVED_M = 0.5  # from which on it is told
 _SIGHT_STEP_M = 5.0
 _SIGHT_SAMPLES = 1 << 20
@@ -401,13 +404,16 @@ class _Room:
         )
         self.stray_m = max(limit.stray_m for limit in limits)
 
-    def clear(self, legs: FloatArray) -> npt.NDArray[np.bool_]:
-        """Return which legs (N, 2, 3) keep all margins, and a little more."""
-        return tubes_clear(self._scene.space, self._scene.terrain.bounds, self._widest, legs, _SPARE_M)
+    def clear(self, legs: FloatArray, room_m: float = 0.0) -> npt.NDArray[np.bool_]:
+        """Return which legs (N, 2, 3) keep all margins, and a little more; those to obstacles so much more."""
+        clear = tubes_clear(self._scene.space, self._scene.terrain.bounds, self._widest, legs, _SPARE_M)
+        return clear if room_m == 0.0 else clear & self.clear_beside(legs, room_m)
 
-    def clear_beside(self, legs: FloatArray) -> npt.NDArray[np.bool_]:
+    def clear_beside(self, legs: FloatArray, room_m: float = 0.0) -> npt.NDArray[np.bool_]:
         """Return which legs (N, 2, 3) keep all margins but those to the ground."""
-        margins = replace(Margins.of(self._widest, _SPARE_M), height_agl_min_m=-math.inf, height_agl_max_m=math.inf)
+        margins = replace(
+            Margins.of(self._widest, _SPARE_M + room_m), height_agl_min_m=-math.inf, height_agl_max_m=math.inf
+        )
         return legs_clear(self._scene.space, margins, legs, math.inf)
 
     def raised(self, legs: FloatArray) -> FloatArray:
@@ -487,22 +493,31 @@ def _place(scene: Scene, asked: Sequence[Sight]) -> list[_Place]:
     asked_m = at + distance_m[:, np.newaxis] * toward
     solids = hiding(scene)
 
+    def nearest(room_m: float) -> FloatArray:
+        """Return the nearest places (N, 3) to those asked for that are clear with so much room; NaN: none."""
+        placed = np.full((len(asked), 3), np.nan)
+        for out, up, turn_deg in _MOVES:
+            barred = above if up > 0.0 or turn_deg != 0.0 else none
+            index = np.flatnonzero(np.isnan(placed[:, 0]) & ~barred & ~(orbit if turn_deg != 0.0 else none))
+            if not len(index):
+                continue
+            turn = math.radians(turn_deg)
+            x, y, z = toward[index].T
+            aim = np.stack(
+                [math.cos(turn) * x - math.sin(turn) * y, math.sin(turn) * x + math.cos(turn) * y, z], axis=1
+            )
+            offset = distance_m[index, np.newaxis] * (out * aim + [0.0, 0.0, up])
+            tried_m = room.raised(_as_legs(at[index] + offset))[:, 0]
+            good = _is_view(tried_m - at[index], above[index], furthest_m[index])
+            index, tried_m = index[good], tried_m[good]
+            good = room.clear(_as_legs(tried_m), room_m) & in_sight(scene.terrain, tried_m, at[index])
+            placed[index[good]] = tried_m[good]
+        return placed
+
     none = np.zeros(len(asked), dtype=np.bool_)
-    placed = np.full((len(asked), 3), np.nan)
-    for out, up, turn_deg in _MOVES:
-        barred = above if up > 0.0 or turn_deg != 0.0 else none
-        index = np.flatnonzero(np.isnan(placed[:, 0]) & ~barred & ~(orbit if turn_deg != 0.0 else none))
-        if not len(index):
-            continue
-        turn = math.radians(turn_deg)
-        x, y, z = toward[index].T
-        aim = np.stack([math.cos(turn) * x - math.sin(turn) * y, math.sin(turn) * x + math.cos(turn) * y, z], axis=1)
-        offset = distance_m[index, np.newaxis] * (out * aim + [0.0, 0.0, up])
-        tried_m = room.raised(_as_legs(at[index] + offset))[:, 0]
-        good = _is_view(tried_m - at[index], above[index], furthest_m[index])
-        index, tried_m = index[good], tried_m[good]
-        good = room.clear(_as_legs(tried_m)) & in_sight(scene.terrain, tried_m, at[index], solids)
-        placed[index[good]] = tried_m[good]
+    placed, roomy = nearest(0.0), nearest(_ROOM_M)
+    better = np.linalg.norm(roomy - placed, axis=1) <= _ROOM_SHARE * distance_m
+    placed[better] = roomy[better]
 
     ground_m = scene.terrain.height_amsl_m(at[:, 0], at[:, 1])
     found = []

@@ -92,6 +92,22 @@ def test_four_sides_are_seen_before_and_behind_the_tower_on_each_side() -> None:
     assert names == ["T2.right-before-1", "T2.right-behind-1", "T2.right-behind-2", "T2.right-before-2"]
 
 
+def test_a_view_has_room_to_return_from_where_there_is_some() -> None:
+    """One that just keeps its margins is a little further off than asked for; one with room is where it is asked."""
+    scene = open_scene(open_question())
+    asked = scene.mission.inspection
+    assert asked is not None
+    least_m = max(Margins.of(task.limits).obstacle_m for task in scene.tasks) + 0.3
+    least_m += max(asked.tower_radius_m, asked.conductor_radius_m)
+
+    def off_m(distance_m: float) -> float:
+        found, _ = views_of(open_question(views={"distance_m": distance_m, "below_top_m": [8.0]}))
+        return float(np.hypot(*places(found["T2.left"])[0, :2] - [0.0, 200.0]))
+
+    assert least_m + 1.5 <= off_m(least_m) <= 1.35 * least_m
+    assert off_m(least_m + 1.5) == pytest.approx(least_m + 1.5)
+
+
 def test_a_tower_is_overflown_above_its_top() -> None:
     found, _ = views_of(open_question(views={"kind": "overfly", "distance_m": 30.0}))
     (viewpoint,) = found["T3.overfly"].viewpoints
