@@ -441,7 +441,7 @@ def inspection_lines(summary: dict[str, Any]) -> list[str]:
         f"{rounds} {'round' if rounds == 1 else 'rounds'} in {_clock(summary['makespan_s'])}"
         + (f" with {summary['swap_s']:g} s between them" if rounds > 1 else "")
         + f"; flying {_clock(summary['flight_time_s'])} in all, no less than {_clock(summary['flight_time_bound_s'])} "
-        "is possible"
+        "by reckoning"
     )
     for number, round_ in enumerate(summary["rounds"], start=1):
         lines += [f"round {number}: {_resolution_line(r)}" for r in round_["fleet"]["resolutions"]]
