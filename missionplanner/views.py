@@ -510,7 +510,7 @@ def _place(scene: Scene, asked: Sequence[Sight]) -> list[_Place]:
             tried_m = room.raised(_as_legs(at[index] + offset))[:, 0]
             good = _is_view(tried_m - at[index], above[index], furthest_m[index])
             index, tried_m = index[good], tried_m[good]
-            good = room.clear(_as_legs(tried_m), room_m) & in_sight(scene.terrain, tried_m, at[index])
+            good = room.clear(_as_legs(tried_m), room_m) & in_sight(scene.terrain, tried_m, at[index], solids)
             placed[index[good]] = tried_m[good]
         return placed
 
