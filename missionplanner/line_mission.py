@@ -13,7 +13,7 @@ import re
 import textwrap
 import unicodedata
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,10 +23,10 @@ import numpy as np
 from missionplanner import mission
 from missionplanner.errors import MissionError
 from missionplanner.geodesy import FloatArray, LocalFrame
+from missionplanner.line_homes import TUBE_M, Site
 from missionplanner.line_map import COARSE_M, SPAN_MAX_M, LineMap, Wire
 from missionplanner.map_tags import MapFeature, made_of, number, plain
 from missionplanner.terrain import Rectangle, Terrain, read_raster
-from missionplanner.terrain_bounds import steepest
 
 NO_TERRAIN = Path("FILL-IN-a-terrain-model.tif")
 """What terrain.file says until somebody fills it in: the message that it is missing then says what to do."""
@@ -34,13 +34,7 @@ NO_TERRAIN = Path("FILL-IN-a-terrain-model.tif")
 _REACH_M = 100_000.0
 _ROOM_M = 1000.0  # of the mission's area around its towers and homes
 _TOWERS_MAX = 5000
-_TUBE_M = 5.0  # as copters have it by default
-_HOME_PITCH_M = 40.0  # between homes: more than the fleet's separation and both vehicles' errors
-_HOME_CLEAR_M = 45.0  # of a home from whatever stands around
-_HOME_SLOPES_DEG = (5.0, 12.0)  # looked for at first, and at all
-_HOME_AWAY_M = (60.0, 90.0, 120.0, 170.0, 230.0, 300.0)  # from the line
 _HOME_REACH_M = 20_000.0
-_LLOYD_ROUNDS = 30
 _DENSE_M = 250.0  # between supports that are made up below a line drawn without them
 _OBSTACLE_M = 10.0
 
@@ -658,117 +652,34 @@ class _Importer:
     def _all_homes(self) -> list[tuple[tuple[float, float], str]]:
         """Return per vehicle its home and what to say of it."""
         given, wanted = self._wishes.homes_deg, self._wishes.vehicles
-        clear = self._is_clear()
-        starts, ends, centers = self._parts_of_the_lines(wanted)
-        homes: list[tuple[float, float]] = []  # x, y
-        told: list[str] = []
-        for v in range(wanted):
-            if v < len(given):
-                homes.append(tuple(self._xy([given[v]])[0].tolist()))
-                told.append("as given")
-                continue
-            if given:
-                candidates = self._around(self._xy([given[v % len(given)]])[0])
-                what = f"assumed, beside home {v % len(given) + 1}"
-            else:
-                candidates = self._beside_line(starts, ends, centers[v])
-                what = "assumed, beside the line"
-            homes.append(self._first_good(list(candidates), homes, clear))
-            told.append(f"{what}: check on the spot")
+        pairs = [pair for run in self._runs for pair in itertools.pairwise(run.supports)]
+        pairs = [(a, b) for a, b in pairs if self._inside[a] and self._inside[b]] or pairs
+        starts, ends = (self._xy(self._places(side)) for side in zip(*pairs, strict=True))
+        site = Site(self._area, self._terrain, starts, ends, tuple(self._standing()))
+        found = site.homes([self._xy([place])[0] for place in given[:wanted]], wanted)
         if not given:
             level = ", level" if self._terrain is not None else " (not if level: no terrain was at hand)"
             self._notes.append(
                 f"homes: {_count(wanted, 'site')} beside the lines assumed, clear of what is on the map{level}: check "
                 "each on the spot (buildings, trees, roads and owners are not on the map), or give --home"
             )
-        positions = np.array([[x, y, 0.0] for x, y in homes])
-        lat_deg, lon_deg, _ = self._frame.to_geo(positions)
+        lat_deg, lon_deg, _ = self._frame.to_geo(np.array([[*home.at_m, 0.0] for home in found]))
         places = list(zip(lat_deg.tolist(), lon_deg.tolist(), strict=True))
+        told = [home.told for home in found]
         return list(zip([*given[:wanted], *places[len(given) :]], told, strict=True))
 
-    def _parts_of_the_lines(self, parts: int) -> tuple[FloatArray, FloatArray, list[FloatArray]]:
-        """Return the inspected spans' ends (S, 2) twice, and the middles of so many parts of them that lie together."""
-        pairs = [pair for run in self._runs for pair in itertools.pairwise(run.supports)]
-        pairs = [(a, b) for a, b in pairs if self._inside[a] and self._inside[b]] or pairs
-        starts, ends = (self._xy(self._places(side)) for side in zip(*pairs, strict=True))
-        middles = (starts + ends) / 2
-        centers = middles[((np.arange(parts) + 0.5) / parts * len(middles)).astype(int)]
-        for _ in range(_LLOYD_ROUNDS):  # k-means by Lloyd's method, from parts of equal numbers
-            nearest = np.linalg.norm(middles[:, None] - centers, axis=-1).argmin(axis=1)
-            centers = np.array(
-                [middles[nearest == k].mean(axis=0) if (nearest == k).any() else centers[k] for k in range(parts)]
-            )
-        return starts, ends, list(centers)
-
-    def _beside_line(self, starts: FloatArray, ends: FloatArray, center: FloatArray) -> Iterator[FloatArray]:
-        """Yield places beside the span that is nearest to the middle of a part of the lines, then beside others."""
-        middles = (starts + ends) / 2
-        for k in np.argsort(np.linalg.norm(middles - center, axis=1), kind="stable")[:40].tolist():
-            way = (ends[k] - starts[k]) / max(float(np.linalg.norm(ends[k] - starts[k])), 1.0)
-            across = np.array([-way[1], way[0]])
-            for away_m, side in itertools.product(_HOME_AWAY_M, (1.0, -1.0)):
-                yield middles[k] + side * away_m * across
-        yield from self._around(center)
-
-    def _around(self, home_m: FloatArray) -> Iterator[FloatArray]:
-        steps = sorted(itertools.product(range(-8, 9), repeat=2), key=lambda s: (s[0] ** 2 + s[1] ** 2, s))
-        for step in steps[1:]:
-            yield home_m + _HOME_PITCH_M * np.array(step, dtype=np.float64)
-
-    def _first_good(
-        self,
-        candidates: Sequence[FloatArray],
-        homes: Sequence[tuple[float, float]],
-        clear: Callable[[FloatArray], bool],
-    ) -> tuple[float, float]:
-        for slope_deg in _HOME_SLOPES_DEG:
-            for at_m in candidates:
-                apart = all(math.hypot(at_m[0] - x, at_m[1] - y) >= _HOME_PITCH_M - 1e-6 for x, y in homes)
-                if apart and clear(at_m) and self._is_level(at_m, slope_deg):
-                    return float(at_m[0]), float(at_m[1])
-        raise MissionError(
-            f"--home: expected a level place for each vehicle, clear of lines, near the towers, got {len(homes)} such "
-            "places: give homes, or fewer --vehicles"
-        )
-
-    def _is_level(self, at_m: FloatArray, slope_deg: float) -> bool:
-        if self._terrain is None:
-            return True
-        slope = float(steepest(self._terrain.arrays, float(at_m[0]), float(at_m[1]), 2 * _TUBE_M))
-        return slope <= math.tan(math.radians(slope_deg))
-
-    def _is_clear(self) -> Callable[[FloatArray], bool]:
-        """Return who tells whether a home could be at a place: within the area, away from all that stands around."""
-        starts: list[FloatArray] = []
-        ends: list[FloatArray] = []
-        need: list[float] = []
-
-        def span(places: Sequence[tuple[float, float]], radius_m: float) -> None:
-            xy_m = self._xy(places)
-            starts.extend(xy_m[:-1] if len(xy_m) > 1 else xy_m)
-            ends.extend(xy_m[1:] if len(xy_m) > 1 else xy_m)
-            need.extend([radius_m + _HOME_CLEAR_M] * max(1, len(xy_m) - 1))
-
+    def _standing(self) -> Iterator[tuple[FloatArray, float]]:
+        """Yield what a home must be clear of: places (N, 2) along it, and how wide it is to either side."""
         for run in self._runs:
-            span(self._places(run.supports), self._of_line.half_width_m)
+            yield self._xy(self._places(run.supports)), self._of_line.half_width_m
         for obstacle in self._obstacles:
-            if isinstance(obstacle, mission.OverheadLine):
-                span([(p.lat_deg or 0.0, p.lon_deg or 0.0) for p in obstacle.supports], obstacle.cable_radius_m)
-            elif isinstance(obstacle, mission.Cylinder):
-                span([(obstacle.center.lat_deg or 0.0, obstacle.center.lon_deg or 0.0)], obstacle.radius_m)
-            elif isinstance(obstacle, mission.NoFly):
-                span([(p.lat_deg or 0.0, p.lon_deg or 0.0) for p in (*obstacle.polygon, obstacle.polygon[0])], 0.0)
-        a, b, least = np.array(starts), np.array(ends), np.array(need)
-        square = np.maximum(((b - a) ** 2).sum(axis=1), 1e-9)
-        west, south, east, north = self._area
-
-        def clear(at_m: FloatArray) -> bool:
-            inside = west + 50.0 <= at_m[0] <= east - 50.0 and south + 50.0 <= at_m[1] <= north - 50.0
-            share = np.clip(((at_m - a) * (b - a)).sum(axis=1) / square, 0.0, 1.0)
-            away_m = np.linalg.norm(a + share[:, None] * (b - a) - at_m, axis=1)
-            return bool(inside and (away_m >= least).all())
-
-        return clear
+            match obstacle:
+                case mission.OverheadLine():
+                    yield self._xy(_degrees(obstacle.supports)), obstacle.cable_radius_m
+                case mission.Cylinder():
+                    yield self._xy(_degrees([obstacle.center])), obstacle.radius_m
+                case mission.NoFly():
+                    yield self._xy(_degrees([*obstacle.polygon, obstacle.polygon[0]])), 0.0
 
     # --- the file
 
@@ -827,7 +738,10 @@ class _Importer:
         if any(wire.voltage_kv is None for wire in self._chosen):
             notes.append(f"voltages of some lines are unknown: {self._safety_m:g} m are kept from conductors")
         if self._terrain is None:
-            notes.append("no terrain: fill in terrain.file (or import with --terrain); nothing is proven without it")
+            notes.append(
+                "no terrain: import with --terrain (or fill in terrain.file, and shorten lines that leave the area): "
+                "nothing is proven without it"
+            )
         notes = [_one_line(note) for note in notes]
         text = "\n".join(self._text(notes)) + "\n"
         return ImportedMission(
@@ -909,7 +823,7 @@ class _Importer:
     def _distance_m(self) -> float:
         """Return how far from a tower's axis one may look at it: the conductors and all margins fit between."""
         carried = (wire for s in self._inspected for wire in self._carried[s])
-        need_m = self._greatest(carried).half_width_m + self._obstacle_m() + _TUBE_M + 2.0
+        need_m = self._greatest(carried).half_width_m + self._obstacle_m() + TUBE_M + 2.0
         return max(25.0, math.ceil(need_m))
 
     def _obstacle_m(self) -> float:
@@ -1035,6 +949,10 @@ def _count(number_: int, what: str, plural: str = "") -> str:
 
 def _deg(value: float) -> float:
     return round(value, 7)
+
+
+def _degrees(places: Iterable[mission.Point | mission.Place]) -> list[tuple[float, float]]:
+    return [(place.lat_deg or 0.0, place.lon_deg or 0.0) for place in places]
 
 
 def _geo(lat_deg: float, lon_deg: float) -> dict[str, float]:
