@@ -32,11 +32,13 @@ from missionplanner.experiments.campaign import Job
 from missionplanner.experiments.document import gathered, joined, provenance
 from missionplanner.files import ensure_writable, replacing, write_atomic, write_csv
 from missionplanner.geodesy import FloatArray, LocalFrame
-from missionplanner.inspection import Round, open_scene, plan_inspection
+from missionplanner.inspection import Round, open_scene, plan_inspection, round_mission
 from missionplanner.inspection_folder import load_inspection, save_inspection
 from missionplanner.mission import Mission
+from missionplanner.plan import Trajectory
 from missionplanner.plan_folder import save_certificate, save_plan
-from missionplanner.scene import Scene, build_check_scene
+from missionplanner.planner import plan_fleet
+from missionplanner.scene import Scene, build_check_scene, build_scene
 from missionplanner.spans import conductor_distance_m
 from missionplanner.terrain_bounds import steepest
 from missionplanner.travel import TravelCosts, travel_costs
@@ -56,6 +58,7 @@ _ORIGIN = (50.0, 11.53)
 _SITE_ASIDE_M, _SITE_FREE_M, _SITE_SLOPE_DEG = 100.0, 60.0, 12.0
 _SPAN_M, _LINES_APART_M, _LINE_M, _FIELD_SOUTH_WEST_M = 250.0, 1000.0, 15_000.0, (-8000.0, -7500.0)
 _TOWERS_PER_VEHICLE = 20
+_WHOLE_MAX, _TOURS_MAX = 200, 12  # towers that are planned whole; of more, so many tours of the first round
 _DAYS_MAX = 1500
 _STEP_S = 0.1
 _WAYS = {"split": "equal split", "nearest": "nearest first"}
@@ -222,11 +225,15 @@ def main(
         Job(f"flight/{number}", flight_job, {**shared, "folder": str(folder / "plan"), "number": number})
         for number in range(1, len(planned["rounds"]) + 1)
     ]
-    every = found([fleet, *sets, *flights, *sizes])
+    together = {**shared, "folder": str(folder / "plan"), "rounds": len(planned["rounds"])}
+    found([fleet, *sets, *flights])
+    measured = Job("coverage", coverage_job, together)
+    every = found([fleet, *sets, *flights, measured, *sizes])
     results = Results(
         planned,
         tuple(every[job.key] for job in sets),
         tuple(every[job.key] for job in flights),
+        every[measured.key],
         tuple(every[job.key] for job in sizes),
         tuple(result["made"] for result in every.values()),
     )
@@ -352,7 +359,8 @@ def flight_job(data: str, seed: int, quick: bool, folder: str, number: int) -> d
         t_s = np.arange(float(track.t_s[0]), float(track.t_s[-1]) + _STEP_S, _STEP_S)
         nearest.append(float(conductor_distance_m(round_.scene.conductors, track.at(t_s)).min()))
     worst = [c for clearances in flown.check.clearances for c in clearances]
-    seen = coverage.measure(plan.scene, [vehicle.trajectory for vehicle in flown.flight.vehicles])
+    tracks = [vehicle.trajectory for vehicle in flown.flight.vehicles]
+    _save_tracks(Path(folder), number, tracks)
     return {
         "round": number,
         "vehicles": len(flown.flight.vehicles),
@@ -362,9 +370,33 @@ def flight_job(data: str, seed: int, quick: bool, folder: str, number: int) -> d
         "required_m": SAFETY_M,
         "separation_m": None if flown.check.separation is None else round(flown.check.separation.distance_m, 2),
         "margin_m": round(min(c.distance_m - c.required_m for c in worst), 3) if worst else None,
-        "seen": sorted(seen.done),
         "made": provenance(),
     }
+
+
+def coverage_job(data: str, seed: int, quick: bool, folder: str, rounds: int) -> dict[str, Any]:
+    """Measure what all rounds together have seen: sides of one tower may be seen in different ones."""
+    plan = load_inspection(Path(folder))
+    tracks = [track for number in range(1, rounds + 1) for track in _tracks(Path(folder), number)]
+    seen = coverage.measure(plan.scene, tracks)
+    return {"seen": sorted(seen.done), "missing": list(seen.missing), "made": provenance()}
+
+
+def _tracks_path(folder: Path, number: int) -> Path:
+    return folder.parent / f"tracks-{number}.npz"
+
+
+def _save_tracks(folder: Path, number: int, tracks: Sequence[Trajectory]) -> None:
+    arrays: dict[str, FloatArray] = {}
+    for k, track in enumerate(tracks):
+        arrays |= {f"t_{k}": track.t_s, f"at_{k}": track.position_m}
+    with replacing(_tracks_path(folder, number)) as draft, draft.open("wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]  # as its stubs write keywords
+
+
+def _tracks(folder: Path, number: int) -> list[Trajectory]:
+    with np.load(_tracks_path(folder, number)) as found:
+        return [Trajectory(found[f"t_{k}"], found[f"at_{k}"]) for k in range(len(found.files) // 2)]
 
 
 def priority_job(data: str, seed: int, quick: bool, number: int) -> dict[str, Any]:
@@ -382,14 +414,21 @@ def priority_job(data: str, seed: int, quick: bool, number: int) -> dict[str, An
 
 
 def size_job(data: str, seed: int, quick: bool, towers: int) -> dict[str, Any]:
-    """Plan and prove an inspection of so many towers; what failed is told."""
+    """Share out so many towers; plan and prove them, or of many the first round only; what failed is told."""
     mission = many(Path(data), towers, **_assignment(quick=quick))
     shared = _Shared.of(mission, Path(data), seed)
     begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
-    told: dict[str, Any] = {"problem": None}
+    told: dict[str, Any] = {"problem": None, "rounds": shared.ours.rounds}
     try:
-        plan = plan_inspection(mission, Path(data), seed=seed)
-        told |= {"planned_towers": len(plan.inspected), "rounds": len(plan.rounds)}
+        if towers <= _WHOLE_MAX:
+            plan = plan_inspection(mission, Path(data), seed=seed)
+            told |= {"planned_towers": len(plan.inspected), "rounds": len(plan.rounds), "planned_rounds": "all"}
+        else:
+            tours = [tour for tour in shared.ours.tours if tour.round == 0][:_TOURS_MAX]
+            scene = build_scene(round_mission(shared.scene, tours, 1), Path(data))
+            plan_fleet(scene, seed=seed)
+            seen = {visit.target for tour in tours for visit in tour.visits}
+            told |= {"planned_towers": len(seen), "planned_rounds": f"{len(tours)} tours of the first"}
     except MissionPlannerError as error:
         told["problem"] = str(error)
     return {
@@ -416,6 +455,7 @@ class Results:
     fleet: dict[str, Any]
     priorities: tuple[dict[str, Any], ...]
     flights: tuple[dict[str, Any], ...]
+    coverage: dict[str, Any]
     sizes: tuple[dict[str, Any], ...]
     made: tuple[dict[str, str], ...]
 
@@ -437,6 +477,10 @@ class Results:
                 found.append(f"{what}: {flight['conductor_m']} m from a conductor, asked {flight['required_m']:g} m")
             if flight["landed"] < flight["vehicles"]:
                 found.append(f"{what}: {flight['landed']} of {flight['vehicles']} landed")
+        planned = self.fleet["planned_towers"]
+        if len(self.coverage["seen"]) < planned:
+            missing = "; ".join(self.coverage["missing"][:3])
+            found.append(f"{len(self.coverage['seen'])} of {planned} towers seen: {missing}")
         found += [f"{s['towers']} towers: {s['problem']}" for s in self.sizes if s["problem"]]
         return found + [f"left out: {why}" for why in self.fleet["planned_left_out"]]
 
@@ -513,20 +557,21 @@ def table(results: Results) -> str:
         ),
     ]
     flights = [
-        "| round | vehicles | lasts | least distance to a conductor | asked | least separation | worst other margin "
-        "| towers seen |",
-        "|---|---|---|---|---|---|---|---|",
+        "| round | vehicles | lasts | least distance to a conductor | asked | least separation | worst other margin |",
+        "|---|---|---|---|---|---|---|",
         *(
             f"| {f['round']} | {f['vehicles']} | {f['lasts_s']:.0f} s | {f['conductor_m']:.1f} m | "
-            f"{f['required_m']:g} m | {_or_dash(f['separation_m'])} | {_or_dash(f['margin_m'])} | {len(f['seen'])} |"
+            f"{f['required_m']:g} m | {_or_dash(f['separation_m'])} | {_or_dash(f['margin_m'])} |"
             for f in results.flights
         ),
     ]
     sizes = [
-        "| towers | vehicles | planned | rounds | travel | solver | planning, processor | by the clock | above bound |",
-        "|---|---|---|---|---|---|---|---|---|",
+        "| towers | vehicles | rounds | planned | towers in that | travel | solver | planning, processor | by clock "
+        "| above bound |",
+        "|---|---|---|---|---|---|---|---|---|---|",
         *(
-            f"| {s['towers']} | {s['vehicles']} | {s.get('planned_towers', '-')} | {s.get('rounds', '-')} | "
+            f"| {s['towers']} | {s['vehicles']} | {s['rounds']} | {s.get('planned_rounds', '-')} | "
+            f"{s.get('planned_towers', '-')} | "
             f"{s['travel_cpu_s']:.1f} s | {s['solver_cpu_s']:.1f} s | {s['planning_cpu_s']:.0f} s | "
             f"{s['planning_s']:.0f} s | {s['flight_s'] / s['bound_s'] - 1.0:.1%} |"
             for s in results.sizes
@@ -549,8 +594,12 @@ def table(results: Results) -> str:
         "## Flown in simulation",
         f"Distances every {_STEP_S:g} s along the tracks, to the conductors themselves.",
         flights,
+        f"All rounds together have seen {len(results.coverage['seen'])} of {fleet['all']} towers from all sides asked "
+        "for.",
         "## How planning grows",
-        "Straight lines side by side on the same ground.",
+        f"Straight lines side by side on the same ground. Of more than {_WHOLE_MAX} towers all are shared out, and "
+        f"{_TOURS_MAX} tours of the first round planned and proven together, of that round's tours those of the first "
+        "vehicles.",
         sizes,
         ["Not kept:", "", *(f"- {problem}" for problem in problems)] if problems else "All was kept.",
     )

@@ -14,6 +14,7 @@ from missionplanner.errors import MissionError
 from missionplanner.experiments import inspection
 from missionplanner.experiments.inspection import Results, bayreuth, many, table
 from missionplanner.inspection import open_scene
+from missionplanner.plan import Trajectory
 
 DATA = Path("/work/shared/data")
 real = pytest.mark.skipif(not (DATA / inspection.LINES).is_file(), reason=f"no lines of Bayreuth in {DATA}")
@@ -51,18 +52,28 @@ def results(**changes: Any) -> Results:
         "planning_cpu_s": 60.0,
     }
     flight = {"round": 1, "vehicles": 2, "landed": 2, "lasts_s": 415.0, "conductor_m": 16.9, "required_m": 10.0}
-    flight |= {"separation_m": None, "margin_m": 1.2, "seen": ["A01"]}
-    size = {"towers": 50, "vehicles": 3, "problem": None, "planned_towers": 50, "rounds": 2, "travel_cpu_s": 1.0}
+    flight |= {"separation_m": None, "margin_m": 1.2}
+    size = {
+        "towers": 50,
+        "vehicles": 3,
+        "problem": None,
+        "planned_towers": 50,
+        "rounds": 2,
+        "planned_rounds": "all",
+        "travel_cpu_s": 1.0,
+    }
     size |= {"solver_cpu_s": 3.0, "planning_s": 100.0, "planning_cpu_s": 90.0, "flight_s": 1000.0, "bound_s": 950.0}
     parts: dict[str, Any] = {
         "fleet": fleet,
         "priorities": ({"set": 1, **three}, {"set": 2, **three}),
         "flights": (flight,),
+        "coverage": {"seen": ["A01", "A02", "A03"], "missing": []},
         "sizes": (size,),
         "made": (made,),
     }
     for name, change in changes.items():
-        parts[name] = tuple({**part, **change} for part in parts[name]) if name != "fleet" else {**fleet, **change}
+        one = isinstance(parts[name], dict)
+        parts[name] = {**parts[name], **change} if one else tuple({**part, **change} for part in parts[name])
     return Results(**parts)
 
 
@@ -75,12 +86,22 @@ def test_what_is_not_kept_is_told() -> None:
         ({"flights": {"conductor_m": 9.9}}, "9.9 m from a conductor, asked 10 m"),
         ({"flights": {"landed": 1}}, "1 of 2 landed"),
         ({"sizes": {"problem": "no way"}}, "50 towers: no way"),
+        ({"coverage": {"seen": ["A01"], "missing": ["A02.left: never near"]}}, "1 of 3 towers seen: A02.left"),
         ({"fleet": {"planned_left_out": ["A01: too far"]}}, "left out: A01: too far"),
     ):
         found = results(**changes)
         assert any(words in problem for problem in found.problems())
         assert words in table(found)
         assert words in json.dumps(found.as_json(), allow_nan=False)
+
+
+def test_tracks_are_read_as_they_were_kept(tmp_path: Path) -> None:
+    """What rounds flew is measured together: in their order, every instant."""
+    tracks = [Trajectory(np.arange(3.0) + k, np.full((3, 3), float(k))) for k in range(11)]
+    inspection._save_tracks(tmp_path / "plan", 2, tracks)
+    found = inspection._tracks(tmp_path / "plan", 2)
+    assert [track.t_s.tolist() for track in found] == [track.t_s.tolist() for track in tracks]
+    assert [track.position_m.tolist() for track in found] == [track.position_m.tolist() for track in tracks]
 
 
 def test_gains_are_those_of_weight() -> None:
@@ -139,7 +160,7 @@ def test_a_small_run(tmp_path: Path) -> None:
     found = run()
     assert found["problems"] == []
     assert found["fleet"]["planned_towers"] == 3
-    assert set().union(*(flight["seen"] for flight in found["flights"])) == {"A01", "A02", "A03"}
+    assert found["coverage"]["seen"] == ["A01", "A02", "A03"]
     assert min(flight["conductor_m"] for flight in found["flights"]) >= 10.0
     for tour in found["fleet"]["tours"]:
         assert tour["planned_s"] == pytest.approx(tour["reckoned_s"], rel=0.1)
