@@ -487,14 +487,24 @@ def _recorded(scene: Scene, paths: Sequence[Path]) -> Flights:
             raise MissionError(f"{path}: expected telemetry logs (.tlog), got a folder without any")
         for flight in _by_folder(logs):
             tracks, notes = read_tracks(flight, scene.frame)
+            targets = _targets(flight[0])
             flights += Flights(
                 tuple(track.trajectory for track in tracks),
                 tuple(names.get(track.sysid, f"sysid {track.sysid}") for track in tracks),
                 tuple(track.photos for track in tracks),
-                (None,) * len(tracks),
+                tuple(targets.get(names.get(track.sysid, "")) for track in tracks),
                 notes,
             )
     return flights
+
+
+def _targets(log: Path) -> dict[str, frozenset[str]]:
+    """Return what vehicles were to look at, by name, where a log is that of the flight which its plan folder holds."""
+    from missionplanner.plan_folder import FLIGHT_NAME, PLAN_NAME, planned_targets
+
+    folder = log.resolve().parent.parent
+    flown = log.parent.name == "logs" and (folder / FLIGHT_NAME).exists() and (folder / PLAN_NAME).exists()
+    return {name: found for name, found in planned_targets(folder).items() if found} if flown else {}
 
 
 def _by_folder(logs: Sequence[Path]) -> list[list[Path]]:

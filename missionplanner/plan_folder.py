@@ -231,6 +231,20 @@ def planned_names(folder: Path) -> tuple[str, ...]:
     return tuple(vehicle.name for vehicle in record.vehicles)
 
 
+def planned_targets(folder: Path) -> dict[str, frozenset[str]]:
+    """Return what each vehicle of a plan folder is to look at, by its name: at once, nothing is predicted or checked.
+
+    Raises
+    ------
+    MissionError
+        There is no plan, it is damaged, or of another version.
+    """
+    path = folder / PLAN_NAME
+    record = read_record(path, _PlanRecord, "plan the mission again")
+    question = parse_mission(json.dumps(record.mission), f"{path}: mission")
+    return {v.name: frozenset(stop.inspects for stop in v.stops if stop.inspects) for v in question.vehicles}
+
+
 def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
     """Read a plan folder; flights are predicted and clearances checked again.
 
