@@ -15,7 +15,7 @@ from adapters.export import export_fleet
 from missionplanner.inspection import Round, plan_inspection
 from missionplanner.inspection_folder import load_inspection, round_folder, save_inspection
 from missionplanner.mission import Mission
-from missionplanner.plan_folder import save_certificate, save_plan
+from missionplanner.plan_folder import planned_targets, save_certificate, save_plan
 from tests.command_line import Cli, expect_line, expect_refusal
 from tests.lines import open_question
 from tests.scenes import at, mission_file, question
@@ -76,6 +76,8 @@ def test_a_line_is_planned_flown_seen_and_done(cli: Cli, tmp_path: Path) -> None
     by_log = cli("coverage", "out", "--log", "out/round-1/logs", "--json")
     assert [row["seen"] for row in by_log.json["towers"]] == [True, True]
     assert "seen: 100.0% of the towers' weight" in cli("coverage", "out").out
+    sorties = {s["vehicle"]: set(s["targets"]) for s in found["rounds"][0]["sorties"]}
+    assert planned_targets(tmp_path / "out" / "round-1") == sorties  # beside a log: what that flight was to look at
 
     # nothing is left: said, and nothing written
     rest = cli("plan", path, "--flown", "out", "-o", "rest", "--json")

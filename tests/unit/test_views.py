@@ -37,6 +37,37 @@ def places(visit: Visit) -> FloatArray:
 # --- by hand
 
 
+def test_nobody_looks_through_an_obstacle() -> None:
+    silo = {"kind": "cylinder", "name": "silo", "center": at(-20.0, 200.0), "radius_m": 3.0}
+    for top_m, hides in ((60.0, True), (15.0, False)):
+        asked = {"views": {"distance_m": 40.0}, "obstacles": [silo | {"top_height_agl_m": top_m}]}
+        found, left_out = views_of(open_question(**asked))
+        assert not left_out
+        (place,) = places(found["T2.left"])
+        way = place + np.linspace(0.0, 1.0, 201)[:, np.newaxis] * ([0.0, 200.0, 130.0] - place)
+        through = (np.hypot(way[:, 0] + 20.0, way[:, 1] - 200.0) < 3.0) & (way[:, 2] < 100.0 + top_m)
+        assert not through.any()
+        assert bool(found["T2.left"].note) is hides
+
+
+def test_a_way_along_a_span_from_which_all_is_in_sight_is_preferred() -> None:
+    hall = {"kind": "no_fly", "name": "hall", "polygon": [at(-22, 90), at(-18, 90), at(-18, 110), at(-22, 110)]}
+    asked = {"spans": {"sides": "left", "lateral_m": 40.0}}
+    for top_m, rises in ((45.0, True), (15.0, False)):
+        scene = open_scene(open_question(**asked, obstacles=[hall | {"top_height_agl_m": top_m}]))
+        (sight, _) = span_sights(scene)
+        assert sight.way_m is not None
+        share = np.linspace(0.0, 1.0, 41)
+        way = sight.way_m[0] + share[:, np.newaxis] * (sight.way_m[1] - sight.way_m[0])
+        lines = np.stack([way, sight.span.conductor.catenary.at(share)], axis=1)
+        at_hall = lines[:, 0] + (lines[:, 0, :1] + 20.0) / (lines[:, 0, :1] - lines[:, 1, :1]) * (
+            lines[:, 1] - lines[:, 0]
+        )
+        beside = (at_hall[:, 1] >= 90.0) & (at_hall[:, 1] <= 110.0)
+        assert (at_hall[beside, 2] > 100.0 + top_m).all()
+        assert bool(sight.way_m[0, 2] > 136.0) is rises
+
+
 @pytest.mark.parametrize(
     ("first", "second", "turned", "asked"),
     [
