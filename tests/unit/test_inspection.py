@@ -235,6 +235,19 @@ def test_rounds_that_stay_as_they_are_are_planned_once(planned_unless: Any, monk
     assert sorted(visits_of(plan)) == sorted(visit.name for visit in plan.visits)
 
 
+def test_two_who_disturb_each_other_fly_one_after_the_other(planned_unless: Any) -> None:
+    def problem(scene: Scene) -> None:
+        if len(scene.tasks) > 1:
+            raise UnreturnableError("alpha - bravo: no heights part them", ("alpha", "bravo"), 100.0)
+
+    planned_unless(problem)
+    plan = plan_inspection(opened(), Path())
+    assert [names(round_.scene) for round_ in plan.rounds] in ([["alpha"], ["bravo"]], [["bravo"], ["alpha"]])
+    assert [tour.round for tour in plan.tours] == [0, 1]
+    assert plan.share == 1.0
+    assert plan.makespan_s == pytest.approx(sum(r.lasts_s for r in plan.rounds) + plan.swap_s)
+
+
 def _no_way_to(tower: str) -> Callable[[Scene], None]:
     def problem(scene: Scene) -> None:
         for task in scene.tasks:
