@@ -204,6 +204,9 @@ def test_what_flights_did_not_show_is_told(planned: InspectionPlan, tmp_path: Pa
     told = {(row[0], row[1]): row[5] for row in rows(page, "targets")}
     assert told["T02", "left"].startswith("seen, 25 m")
     assert f"{seen.share:.0%}" in words
+    assert "judged by position only: no log tells of photos" in words
+    seen = coverage.measure(planned.scene, tracks, names=["alpha"], photos=tracks)
+    assert "judged by position" not in plain(write_inspection_report(tmp_path, planned, seen, tracks))
 
 
 @pytest.mark.parametrize("kind", ["overfly", "two_sides", "four_sides", "orbit"])
