@@ -54,8 +54,8 @@ _EVEN_S = 10.0  # flight times that differ by less are equal
 _MEND = 0.995
 _MENDS = 4
 _OWN_MAX = 30_000_000  # ways, up to which the solver knows every vehicle's own home
-PLACES_MAX = 150
-"""How many places a sortie has at most: an ArduPilot holds some 700 items, and each place takes about four."""
+ITEMS_MAX = 600
+"""How many mission items the places of a sortie take at most: an ArduPilot holds some 700."""
 
 _NO_BARS: Mapping[tuple[int, str], str] = {}
 _ASCENTS, _MANY, _PATIENCE = 200, 600, 10
@@ -289,9 +289,10 @@ class _Problem:
     def _why_unreachable(self, visit: int) -> str | None:
         """Return why no vehicle can fly a visit alone, and what helps; None: one can."""
         forms = list(self.forms[visit])
-        if any(len(self.costs.forms[f].viewpoints) > PLACES_MAX for f in forms):
+        if any(self.items_of([f]) > ITEMS_MAX for f in forms):
             return (
-                f"expected at most {PLACES_MAX} places in a sortie, got more in {self.costs.visits[visit].name} alone"
+                f"expected at most {ITEMS_MAX} mission items in a sortie, got more in {self.costs.visits[visit].name} "
+                "alone: lower views.points or views.photos"
             )
         alone = self.alone[:, forms].min(axis=1)
         if (alone <= self.allowed + _SAME).any():
@@ -339,12 +340,14 @@ class _Problem:
         return found
 
     def fits(self, route: _Route) -> bool:
-        if self.places_of(route.forms) > PLACES_MAX:
+        if self.items_of(route.forms) > ITEMS_MAX:
             return False
         return bool(self.needs([route])[0] <= self.budget_of(route) + _SAME)
 
-    def places_of(self, forms: Sequence[int]) -> int:
-        return sum(len(self.costs.forms[form].viewpoints) for form in forms)
+    def items_of(self, forms: Sequence[int]) -> int:
+        """Return about how many mission items forms take: a waypoint or two to each place, the camera, its photos."""
+        actions = [viewpoint.action for form in forms for viewpoint in self.costs.forms[form].viewpoints]
+        return sum(3 + (2 * a.photos if a.hold_s > 0.0 else min(a.photos, 1)) for a in actions)
 
     def budget_of(self, route: _Route) -> float:
         """Return how much a tour may take: as much as its furthest visit takes alone, if that is more than others."""
@@ -978,7 +981,7 @@ class _Model:
                         location=len(clients),
                         prize=round(choice.prize_s / _TICK_S),
                         required=required and alone,
-                        delivery=[problem.places_of(choice.options[0])],
+                        delivery=[problem.items_of(choice.options[0])],
                         group=None if alone else len(groups),
                     )
                 )
@@ -1045,7 +1048,7 @@ class _Model:
             end_depot=vehicle,
             profile=self._group_of[vehicle],
             max_distance=max(0, math.floor(budget / _SHARE)),
-            capacity=[PLACES_MAX],
+            capacity=[ITEMS_MAX],
             unit_distance_cost=0,
             unit_duration_cost=1,
             shift_duration=round(longest_s / _TICK_S) if limited else _BLOCKED,

@@ -342,8 +342,8 @@ def test_who_is_barred_from_a_target_leaves_it_to_others() -> None:
 
 
 @pytest.mark.parametrize("objective", ["makespan", "priority"])
-def test_no_tour_has_more_places_than_a_vehicle_holds(monkeypatch: pytest.MonkeyPatch, objective: str) -> None:
-    monkeypatch.setattr(assignment, "PLACES_MAX", 5)
+def test_no_tour_has_more_items_than_a_vehicle_holds(monkeypatch: pytest.MonkeyPatch, objective: str) -> None:
+    monkeypatch.setattr(assignment, "ITEMS_MAX", 15)
     visits = visits_of(4, 2, reversible=True)  # of two places each
     costs = costs_of(visits, 2, np.random.default_rng(5))
     costs = replace(costs, energy_share=0.1 * costs.energy_share, home_share=0.1 * costs.home_share)
