@@ -340,6 +340,8 @@ class _Problem:
         return found
 
     def fits(self, route: _Route) -> bool:
+        if not route.forms:
+            return True
         if self.items_of(route.forms) > ITEMS_MAX:
             return False
         return bool(self.needs([route])[0] <= self.budget_of(route) + _SAME)
