@@ -377,16 +377,15 @@ def test_a_tour_that_takes_too_much_leaves_some_to_others(seed: int) -> None:
 
 def test_a_tour_of_which_nothing_fits_is_flown_by_others() -> None:
     place, visits = scene(4, 2), visits_of(4, 1, reversible=False)
-    costs = costs_of(visits, 2, np.random.default_rng(7))
+    costs = costs_of(visits, 2, np.random.default_rng(7), returns=True)
     tours = assign(place, visits, seed=1, costs=costs).tours
     assert {tour.vehicle for tour in tours} == {0, 1}
     assert costs.model[0] != costs.model[1]
     energy_share = costs.energy_share.copy()
     energy_share[costs.model[0]] *= 10.0
     energy_share[costs.model[1]] *= 0.1
-    now = relieved(
-        place, visits, tours, budget_share=[0.8, 0.8], barred={}, costs=replace(costs, energy_share=energy_share)
-    )
+    heavier = replace(costs, energy_share=energy_share, home_share=costs.home_share * [[10.0], [0.1]])
+    now = relieved(place, visits, tours, budget_share=[0.8, 0.8], barred={}, costs=heavier)
     assert now is not None
     assert {tour.vehicle for tour in now} == {1}
     assert sorted(v.name for t in now for v in t.visits) == sorted(v.name for t in tours for v in t.visits)
