@@ -156,6 +156,7 @@ import os, signal, sys
 from pathlib import Path
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from adapters.telemetry_log import FleetLog
+signal.signal(signal.SIGINT, signal.default_int_handler)  # though this was started in the background
 log = FleetLog(Path(sys.argv[1]), {1: "a"}, 1.7e9)
 codec = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
 for k in range(100):
