@@ -57,7 +57,8 @@ def test_the_shortest_way_around_one_disc(radius: float, off: float, before: flo
     a, b = math.hypot(*start), math.hypot(*goal)
     known = before + after
     if abs(off) < radius:
-        swept = math.acos(float(start @ goal) / (a * b)) - math.acos(radius / a) - math.acos(radius / b)
+        between = math.atan2(off * (before + after), float(start @ goal))  # an arc cosine loses it near half a turn
+        swept = abs(between) - math.acos(radius / a) - math.acos(radius / b)
         known = math.sqrt(a * a - radius**2) + math.sqrt(b * b - radius**2) + radius * swept
     spin = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     moved = [spin @ place + [30.0, -40.0] for place in (start, goal, centre)]
