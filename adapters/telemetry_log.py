@@ -26,6 +26,9 @@ _STAMP = struct.Struct(">Q")
 MERGED = "fleet.tlog"
 """The log of all vehicles; it holds what their own logs do."""
 
+SIMULATED = "SIMULATED flight: no vehicle was in the air"
+"""Noted in the logs of every rehearsal; in one piece, so that it is found at once."""
+
 _EARLIER = "earlier"
 _OWN_SYSID = 255
 _TEXT_MAX = 50  # bytes of a STATUSTEXT
@@ -144,6 +147,17 @@ def latest_flight(folder: Path, sysids: Collection[int]) -> Path | None:
     return None
 
 
+def is_simulated(path: Path) -> bool:
+    """Return whether a log is of a rehearsal.
+
+    Raises
+    ------
+    MissionError
+        The file cannot be read.
+    """
+    return SIMULATED.encode() in _bytes(path)
+
+
 @dataclass(frozen=True, slots=True)
 class TelemetryLog:
     """What a log holds: messages with their times since 1970, and what of it could not be read."""
@@ -166,14 +180,18 @@ def read_log(path: Path, kinds: Collection[int] | None = None) -> TelemetryLog:
     MissionError
         The file cannot be read, or holds no frame at all.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise MissionError(f"{path}: expected a telemetry log, got: {error.strerror or error}") from error
+    data = _bytes(path)
     log = parse_log(data, kinds)
     if data and not log.sound_frames:
         raise MissionError(f"{path}: expected a telemetry log, got {len(data)} bytes without any MAVLink frame")
     return log
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise MissionError(f"{path}: expected a telemetry log, got: {error.strerror or error}") from error
 
 
 def parse_log(data: bytes, kinds: Collection[int] | None = None) -> TelemetryLog:

@@ -89,6 +89,7 @@ SigningKey = Annotated[
 
 
 _INTERRUPTED = 130
+_OVER_HOME_M = 1.0
 
 
 def _interrupted(ended: SystemExit) -> bool:
@@ -154,6 +155,9 @@ def plan(
             help="of an inspection: plan only what the flights in these folders or logs did not see",
         ),
     ] = None,
+    simulated: Annotated[
+        bool, typer.Option("--simulated", help="with --flown: count rehearsals, too, as if they had inspected")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Plan a mission, prove it, and write plan.json, certificate.json and the files for ground stations.
@@ -163,13 +167,23 @@ def plan(
     from missionplanner.files import alone, ensure_writable
 
     question = _question(mission, algorithm)
+    if simulated and flown is None:
+        raise MissionError("--simulated: expected with --flown, whose rehearsals it counts")
     if question.is_open:
         if within is not None:
             raise MissionError("--within: expected with a mission whose vehicles have their stops, got an inspection")
-        logs = [Path(part) for part in (flown or "").split(",") if part]
+        logs = [Path(part.strip()) for part in (flown or "").split(",") if part.strip()]
+        if flown is not None and not logs:
+            raise MissionError(f"--flown: expected folders or logs of flights, got {flown!r}")
         folder = output or _default_folder(question, "_rest" if logs else "")
         inspection_commands.plan(
-            question, mission, folder, seed=seed, flown=logs, busy=_BUSY, write=_write, as_json=as_json
+            *(question, mission, folder),
+            seed=seed,
+            flown=logs,
+            simulated=simulated,
+            busy=_BUSY,
+            write=_write,
+            as_json=as_json,
         )
         return
     if flown is not None:
@@ -213,7 +227,9 @@ def check(
             )
         if output is not None:
             raise MissionError("--output: expected with --mission; a plan folder's certificate and report stay in it")
-        if inspection_commands.is_inspection(targets[0]):
+        from missionplanner.plan_folder import is_inspection
+
+        if is_inspection(targets[0]):
             problems = inspection_commands.check(targets[0], _check_folder, as_json)
             if problems:
                 raise _verdict(f"not proven: {'; '.join(problems)}")
@@ -258,9 +274,10 @@ def export(
 ) -> None:
     """Write files of a plan that is proven, for ground stations, maps and other apps (default: FOLDER/files)."""
     from adapters.export import export_options
+    from missionplanner.plan_folder import is_inspection
 
     options = export_options(formats, dji_aircraft)
-    if inspection_commands.is_inspection(folder):
+    if is_inspection(folder):
         paths, remarks = inspection_commands.export(folder, lambda at, to: _export(at, to, options), output)
     else:
         paths, remarks = _export(folder, output or folder / FILES, options)
@@ -490,6 +507,7 @@ def fly(
         corrected = fleet_plan.mission.fleet.correction != "off" if correct is None else correct
         if connect is not None:
             _clock_start(fleet_plan, datetime.now(UTC))
+        simulated = connect is None
         with _ground_station(
             *(scene, fleet_plan, folder, connect, speedup, signing_key),
             unproven=unproven,
@@ -500,7 +518,6 @@ def fly(
             _transfer(link, scene, fleet_plan, unproven=unproven)
             try:
                 keeps = pacer(scene, fleet_plan, correct=corrected)
-                simulated = connect is None
 
                 def start_s(tell: Callable[[str], None]) -> float | None:
                     return None if simulated else _start_on_clock(link, fleet_plan, tell)
@@ -509,9 +526,8 @@ def fly(
             finally:
                 recorded = link.flight()
                 if all(len(vehicle.trajectory.t_s) for vehicle in recorded.vehicles):
-                    save_flight(
-                        folder, recorded, unproven=unproven
-                    )  # also of a flight that ended badly: then it is wanted most
+                    # also of a flight that ended badly: then it is wanted most
+                    save_flight(folder, recorded, unproven=unproven, simulated=simulated)
         check = check_flight(scene, fleet_plan, flight)
         with stderr.status("writing the report"):
             report_path = write_report(folder, scene, fleet_plan, flight)
@@ -608,7 +624,9 @@ def _proven_plan(
 
 def _is_inspection(target: Path) -> bool:
     """Return whether a folder or mission file is an inspection of several rounds."""
-    return inspection_commands.is_inspection(target) if target.is_dir() else _question(target).is_open
+    from missionplanner.plan_folder import is_inspection
+
+    return is_inspection(target) if target.is_dir() else _question(target).is_open
 
 
 @contextmanager
@@ -661,7 +679,7 @@ def _ground_station(
     """
     from adapters.endpoint import open_endpoint
     from adapters.fleet_link import FleetLink, WallClock
-    from adapters.telemetry_log import FleetLog
+    from adapters.telemetry_log import SIMULATED, FleetLog
     from sim.fleet import LockstepClock, SimFleet, connect_fleet
 
     def ground(x_m: float, y_m: float) -> float:
@@ -685,6 +703,8 @@ def _ground_station(
             clock = LockstepClock(fleet, speedup)
         names = {vehicle.sysid: vehicle.name for vehicle in fleet_plan.vehicles}
         log = stack.enter_context(FleetLog(folder / LOGS, names, time.time() - clock.now_s()))
+        if connect is None:
+            log.note(clock.now_s(), SIMULATED)
         if unproven:
             log.note(clock.now_s(), "UNPROVEN mission sent by order of the operator")
         link = FleetLink(fleet_plan, endpoints, clock, log=log, home_tolerance_m=_home_tolerance_m(scene))
@@ -1043,6 +1063,8 @@ def _resume_plan(
 ) -> None:
     from bisect import bisect_left
 
+    import numpy as np
+
     from adapters.certificates import certify_plan
     from adapters.export import export_fleet
     from adapters.mission_items import plan_items
@@ -1069,12 +1091,16 @@ def _resume_plan(
     else:
         assert item is not None
         waypoint = bisect_left(flown, item)
+    if waypoint == len(flown) - 1 and np.hypot(*(planned.waypoints_m[-1] - planned.home_m)[:2]) < _OVER_HOME_M:
+        waypoint = len(flown)  # from home to above home: no way
     if not 1 <= waypoint < len(flown):
         goal = f"its waypoints are items {flown[1]} to {flown[-1]}"
-        what = "broken off there" if log is not None else f"got {item}"
         early = "fly its own plan again" if waypoint < 1 else "nothing is left but its end"
+        flown_to = "broken off before the first" if waypoint < 1 else "flown to the last"
+        what = flown_to if log is not None else f"got {item}"
         raise MissionError(f"{vehicle}: {what}: {goal}: {early}")
-    target = output or folder.with_name(f"{folder.name}_{vehicle}_resumed")
+    place = folder if folder.name else folder.resolve()
+    target = output or place.with_name(f"{place.name}_{vehicle}_resumed")
     if (target / PLAN_NAME).exists():
         raise MissionError(f"{target}: expected a folder without a plan, got one: choose another with --output")
     ensure_writable(target)
@@ -1204,7 +1230,9 @@ def parameters(
 @app.command()
 def report(folder: PlanFolder, as_json: AsJson = False) -> None:
     """Write FOLDER/report.html (proof, maps, profiles, the flight if flown), and a page for each vehicle's crew."""
-    if inspection_commands.is_inspection(folder):
+    from missionplanner.plan_folder import is_inspection
+
+    if is_inspection(folder):
         path = inspection_commands.report(folder, lambda at, scene, fleet_plan: _report(at, scene, fleet_plan)[0])
     else:
         from missionplanner.plan_folder import load_plan
@@ -1361,7 +1389,7 @@ def _default_folder(question: Mission, ending: str = "") -> Path:
 def _plan(scene: Scene, folder: Path, seed: int | None, within_s: float | None = None) -> FleetPlan:
     """Plan with progress bars, and write the plan, its certificate and its files."""
     from missionplanner.files import ensure_writable
-    from missionplanner.plan_folder import INSPECTION_NAME
+    from missionplanner.plan_folder import is_inspection
     from missionplanner.planner import plan_fleet
     from missionplanner.warmup import begin
 
@@ -1381,7 +1409,10 @@ def _plan(scene: Scene, folder: Path, seed: int | None, within_s: float | None =
 
         fleet_plan = plan_fleet(scene, seed=seed, watch=watch, seconds=within_s, clock=time.perf_counter)
     _clock_start(fleet_plan, datetime.now(UTC))
-    (folder / INSPECTION_NAME).unlink(missing_ok=True)  # an earlier one, of which this is not a round
+    if is_inspection(folder):  # an earlier one, of which this is not a round
+        from missionplanner.inspection_folder import clear
+
+        clear(folder)
     return _write(folder, scene, fleet_plan)
 
 

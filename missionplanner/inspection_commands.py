@@ -25,17 +25,11 @@ if TYPE_CHECKING:  # the planner takes a second to import
     from missionplanner.plan import FleetFlight, FleetPlan, Trajectory
     from missionplanner.scene import Scene
 
-INSPECTION_NAME = "inspection.json"
 _TOLD = 5
 _SAME = 1e-9
 
 WritePlan = Callable[[Path, "Scene", "FleetPlan"], "FleetPlan"]
 """Writes a plan folder and what goes with it, refuses a plan that is not proven, and returns it with its proof."""
-
-
-def is_inspection(folder: Path) -> bool:
-    """Return whether a folder holds a whole inspection: rounds, each a plan folder of its own."""
-    return (folder / INSPECTION_NAME).exists()
 
 
 def refuse_whole(folder: Path, command: str) -> None:
@@ -46,6 +40,8 @@ def refuse_whole(folder: Path, command: str) -> None:
     MissionError
         It is one.
     """
+    from missionplanner.plan_folder import is_inspection
+
     if is_inspection(folder):
         raise MissionError(
             f"{folder}: expected one round at a time, got a whole inspection: {command} {folder / 'round-1'} first, "
@@ -63,16 +59,22 @@ def plan(
     *,
     seed: int | None,
     flown: Sequence[Path],
+    simulated: bool,
     busy: str,
     write: WritePlan,
     as_json: bool,
 ) -> None:
-    """Plan an open mission into a folder: all its rounds; of what logs show as inspected, nothing."""
+    """Plan an open mission into a folder: all its rounds; of what logs show as inspected, nothing.
+
+    Rehearsals have inspected nothing, unless they are to count (``simulated``).
+    """
     from missionplanner.files import ensure_writable
 
-    if any(folder.resolve() == other.resolve() for other in flown):
+    logs = _logs(flown)
+    if any(folder.resolve() in (read.resolve(), *read.resolve().parents) for read in (*flown, *logs)):
         raise MissionError(f"--output: expected another folder than {folder}, whose flights are read: choose one")
-    done = _seen_before(question, path, flown) if flown else frozenset()
+    logs = logs if simulated else _real(logs)
+    done = _seen_before(question, path, logs) if logs else frozenset()
     ensure_writable(folder)
     with alone_in(folder, busy):
         planned = plan_into(question, path, folder, seed=seed, done=done, write=write)
@@ -91,9 +93,9 @@ def plan(
 def plan_into(
     question: Mission, path: Path, folder: Path, *, seed: int | None, done: frozenset[str], write: WritePlan
 ) -> InspectionPlan:
-    """Plan, with progress bars, and write everything; nothing is written where nothing is left to be done."""
+    """Plan, with progress bars, and write everything; where nothing is left to be done, no earlier plan stays."""
     from missionplanner.inspection import plan_inspection
-    from missionplanner.inspection_folder import save_inspection
+    from missionplanner.inspection_folder import clear, save_inspection
     from missionplanner.warmup import begin
 
     compiling = begin()
@@ -116,6 +118,7 @@ def plan_into(
         except InfeasibleError as error:
             raise InfeasibleError(f"{path}: {error}") from error
     if not planned.rounds:
+        clear(folder)  # an earlier plan of the rest must not be flown again
         return planned
     proven: list[Round] = []
 
@@ -278,7 +281,7 @@ def fly(
     seen = flights.measured(planned.scene)
     with stderr.status("writing what was seen"):
         files = write_coverage(folder, planned.scene, seen, flights, planned)
-    show(planned, folder, as_json, flown, seen, files)
+    show(planned, folder, as_json, flown, seen, files, flights.simulated)
     missed = [target for target in planned.inspected if target not in seen.done]
     if missed:
         more = f" and {len(missed) - _TOLD} more" if len(missed) > _TOLD else ""
@@ -293,17 +296,24 @@ def show(
     flown: Sequence[FlownRound] = (),
     seen: Coverage | None = None,
     written: Mapping[str, Path] | None = None,
+    simulated: Sequence[str] = (),
 ) -> None:
     """Show an inspection as planned and, where it was, as flown and seen."""
+    from missionplanner.plan_folder import INSPECTION_NAME
     from missionplanner.summary import inspection_lines, inspection_table, summarise_inspection
 
     summary = summarise_inspection(planned, [(f.flight, f.check) for f in flown], seen)
+    summary |= {"simulated": list(simulated)} if flown else {}
     files = {"folder": folder, "inspection": folder / INSPECTION_NAME, **(written or {})}
     if as_json:
         print_json(summary | {name: str(path) for name, path in files.items()})
         return
     stdout.print(inspection_table(summary))
-    for line in [*inspection_lines(summary), *(f"{what}: {path}" for what, path in files.items())]:
+    for line in [
+        *inspection_lines(summary),
+        *_simulated_lines(simulated),
+        *(f"{what}: {path}" for what, path in files.items()),
+    ]:
         stdout.print(line, soft_wrap=True, highlight=False, markup=False)
 
 
@@ -364,7 +374,7 @@ def coverage(
     Tables and a map are written to FOLDER.
     """
     asked = _Asked.of(folder)
-    seen = _recorded(asked.scene, log) if log else asked.flights()
+    seen = _recorded(asked.scene, _logs(log)) if log else asked.flights()
     if not seen.tracks:
         raise MissionError(f"{folder}: expected flights, got none: fly it first, or name logs with --log")
     found = seen.measured(asked.scene)
@@ -377,6 +387,8 @@ def coverage(
         "share": round(share, 4),
         "share_min": asked.share_min,
         "done_before": [] if asked.planned is None else sorted(asked.planned.done),
+        "flights": list(seen.recorded),
+        "simulated": list(seen.simulated),
     }
     if as_json:
         notes = [*found.notes, *seen.notes]
@@ -385,7 +397,9 @@ def coverage(
         from missionplanner.summary import coverage_lines, coverage_table
 
         stdout.print(coverage_table(summary))
-        for line in [*coverage_lines(summary), *seen.notes, *(f"{what}: {path}" for what, path in files.items())]:
+        told = [*coverage_lines(summary), *seen.notes, f"flights: {', '.join(seen.recorded)}"]
+        told += [*_simulated_lines(seen.simulated), *(f"{what}: {path}" for what, path in files.items())]
+        for line in told:
             stdout.print(line, soft_wrap=True, highlight=False, markup=False)
     if share < asked.share_min - _SAME:
         print(
@@ -405,6 +419,8 @@ class Flights:
     photos: tuple[Trajectory | None, ...] = ()  # None: no log tells
     targets: tuple[frozenset[str] | None, ...] = ()  # to be looked at, by the plan; None: it is not known
     notes: tuple[str, ...] = ()  # what of logs is lost
+    recorded: tuple[str, ...] = ()  # the folders that hold them
+    simulated: tuple[str, ...] = ()  # those of these that are of rehearsals
 
     def measured(self, scene: Scene) -> Coverage:
         """Return what they have seen."""
@@ -419,7 +435,13 @@ class Flights:
             self.photos + other.photos,
             self.targets + other.targets,
             self.notes + other.notes,
+            self.recorded + other.recorded,
+            self.simulated + other.simulated,
         )
+
+
+def _simulated_lines(simulated: Sequence[str]) -> list[str]:
+    return [f"SIMULATED: no vehicle was in the air, nothing is inspected by: {', '.join(simulated)}"] * bool(simulated)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -433,16 +455,21 @@ class _Asked:
 
     @classmethod
     def of(cls, folder: Path) -> _Asked:
-        from missionplanner.inspection_folder import load_inspection, round_folder
-        from missionplanner.plan_folder import load_plan
+        from missionplanner.inspection_folder import load_inspection
+        from missionplanner.plan_folder import is_inspection, load_plan
 
         if is_inspection(folder):
             planned = load_inspection(folder)
-            plans = tuple((round_folder(folder, k), r.plan) for k, r in enumerate(planned.rounds, start=1))
-            return cls(planned.scene, planned.share_min, plans, planned)
-        if is_inspection(folder.parent):
-            raise MissionError(f"{folder}: expected the whole inspection, got a round of it: name {folder.parent}")
+            return cls(planned.scene, planned.share_min, tuple(_plans(folder, planned)), planned)
+        whole = folder.resolve().parent
+        if is_inspection(whole):
+            raise MissionError(f"{folder}: expected the whole inspection, got a round of it: name {whole}")
         scene, plan = load_plan(folder)
+        if any(stop.inspects for vehicle in scene.mission.vehicles for stop in vehicle.stops):
+            raise MissionError(  # passing by is not looking
+                f"{folder}: expected the folder of the whole inspection, got a part of one, which does not tell all "
+                f"that is to be seen: name the whole, and this with --log {folder}"
+            )
         if scene.towers is None:
             raise MissionError(f"{folder}: expected a mission with inspection.towers, got none to be seen")
         return cls(scene, scene.towers.share_min, ((folder, plan),), None)
@@ -452,10 +479,23 @@ class _Asked:
         return sum((_latest(folder, plan) for folder, plan in self.plans), Flights())
 
 
+def _plans(folder: Path, planned: InspectionPlan) -> Iterator[tuple[Path, FleetPlan]]:
+    """Yield the rounds' plans, and those beside them by which vehicles went on with a round (the command resume)."""
+    from missionplanner.inspection_folder import round_folder
+    from missionplanner.plan_folder import FLIGHT_NAME, PLAN_NAME, load_plan
+
+    for number, round_ in enumerate(planned.rounds, start=1):
+        at = round_folder(folder, number)
+        yield at, round_.plan
+        for rest in sorted(folder.glob(f"{at.name}_*")):
+            if (rest / PLAN_NAME).exists() and (rest / FLIGHT_NAME).exists():
+                yield rest, load_plan(rest)[1]
+
+
 def _latest(folder: Path, plan: FleetPlan) -> Flights:
     from adapters.flown_logs import read_tracks
     from adapters.telemetry_log import latest_flight
-    from missionplanner.plan_folder import load_flight
+    from missionplanner.plan_folder import load_flight, was_simulated
 
     flight = load_flight(folder, plan)
     if flight is None:
@@ -470,31 +510,67 @@ def _latest(folder: Path, plan: FleetPlan) -> Flights:
         tuple(photos.get(vehicle.sysid) for vehicle in flight.vehicles),
         tuple(targets.get(vehicle.sysid) for vehicle in flight.vehicles),
         notes,
+        (folder.name,),
+        (folder.name,) if was_simulated(folder) else (),
     )
 
 
-def _recorded(scene: Scene, paths: Sequence[Path]) -> Flights:
-    """Return what logs show, of files or of all in folders: of rounds, too, and of flights before the latest."""
-    from adapters.flown_logs import read_tracks
-
-    names = {task.sysid: task.name for task in scene.tasks}
-    flights = Flights()
+def _logs(paths: Sequence[Path]) -> list[Path]:
+    """Return the logs that are named, and all in the folders that are: of rounds, too, and of earlier flights."""
+    found: dict[Path, None] = {}
     for path in paths:
         if not path.exists():
             raise MissionError(f"{path}: expected a telemetry log, or a folder with some, got nothing there")
         logs = sorted(path.rglob("*.tlog")) if path.is_dir() else [path]
         if not logs:
             raise MissionError(f"{path}: expected telemetry logs (.tlog), got a folder without any")
-        for flight in _by_folder(logs):
-            tracks, notes = read_tracks(flight, scene.frame)
-            targets = _targets(flight[0])
-            flights += Flights(
-                tuple(track.trajectory for track in tracks),
-                tuple(names.get(track.sysid, f"sysid {track.sysid}") for track in tracks),
-                tuple(track.photos for track in tracks),
-                tuple(targets.get(names.get(track.sysid, "")) for track in tracks),
-                notes,
-            )
+        found |= dict.fromkeys(logs)
+    return list(found)
+
+
+def _real(logs: Sequence[Path]) -> list[Path]:
+    """Return the logs that are of no rehearsal, and tell of those left out.
+
+    Raises
+    ------
+    MissionError
+        All are of rehearsals.
+    """
+    from adapters.telemetry_log import is_simulated
+
+    rehearsed = [log for log in logs if is_simulated(log)]
+    real = [log for log in logs if log not in rehearsed]
+    folders = list(dict.fromkeys(str(log.parent) for log in rehearsed))
+    if rehearsed and not real:
+        raise MissionError(
+            f"--flown: expected flights of vehicles, got simulated ones only, which have inspected nothing (in "
+            f"{', '.join(folders)}): plan without --flown, or count them with --simulated"
+        )
+    for at in folders:
+        print(f"missionplanner: {at}: not counted: a simulated flight has inspected nothing", file=sys.stderr)
+    return real
+
+
+def _recorded(scene: Scene, logs: Sequence[Path]) -> Flights:
+    """Return what logs show."""
+    from adapters.flown_logs import read_tracks
+    from adapters.telemetry_log import is_simulated
+
+    names = {task.sysid: task.name for task in scene.tasks}
+    flights = Flights()
+    for flight in _by_folder(logs):
+        tracks, notes = read_tracks(flight, scene.frame)
+        targets = _targets(flight[0])
+        at = str(flight[0].parent)
+        flights += Flights(
+            tuple(track.trajectory for track in tracks),
+            tuple(names.get(track.sysid, f"sysid {track.sysid}") for track in tracks),
+            tuple(track.photos for track in tracks),
+            tuple(targets.get(names.get(track.sysid, "")) for track in tracks),
+            notes,
+            (at,),
+            (at,) if any(map(is_simulated, flight)) else (),
+        )
     return flights
 
 
@@ -516,7 +592,7 @@ def _by_folder(logs: Sequence[Path]) -> list[list[Path]]:
     return list(together.values())
 
 
-def _seen_before(question: Mission, path: Path, flown: Sequence[Path]) -> frozenset[str]:
+def _seen_before(question: Mission, path: Path, logs: Sequence[Path]) -> frozenset[str]:
     """Return the targets that flights have seen from all sides asked for."""
     from missionplanner.inspection import open_scene
 
@@ -524,7 +600,7 @@ def _seen_before(question: Mission, path: Path, flown: Sequence[Path]) -> frozen
         scene = open_scene(question, path.parent)
     except MissionError as error:
         raise MissionError(f"{path}: {error}") from error
-    flights = _recorded(scene, flown)
+    flights = _recorded(scene, logs)
     for note in flights.notes:
         print(f"missionplanner: {note}", file=sys.stderr)
     return flights.measured(scene).done
@@ -537,22 +613,27 @@ def write_coverage(
     import json
 
     from missionplanner.files import write_atomic
+    from missionplanner.plan_folder import COVERAGE_NAME
     from missionplanner.report import write_inspection_report
     from missionplanner.report.coverage import coverage_map
     from missionplanner.report.style import to_png
 
-    path = folder / "coverage.json"
-    write_atomic(path, json.dumps(found.as_json(), indent=1, allow_nan=False) + "\n")
+    path = folder / COVERAGE_NAME
+    document = found.as_json() | {"flights": list(flights.recorded), "simulated": list(flights.simulated)}
+    write_atomic(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
     files = {"coverage": path, "map": folder / "coverage.png"}
     write_atomic(files["map"], to_png(coverage_map(scene, found, flights.tracks)))
     if planned is not None:
-        files |= write_towers(folder, planned, found)
-        files["report"] = write_inspection_report(folder, planned, found, flights.tracks)
+        files |= write_towers(folder, planned, None if flights.simulated else found)
+        files["report"] = write_inspection_report(folder, planned, found, flights.tracks, flights.simulated)
     return files
 
 
 def write_towers(folder: Path, planned: InspectionPlan, seen: Coverage | None = None) -> dict[str, Path]:
-    """Write who inspects which tower, and what of it was seen, as CSV and GeoJSON; return their paths."""
+    """Write who inspects which tower, and what of it was seen, as CSV and GeoJSON; return their paths.
+
+    These tables are handed on by themselves: what was seen in rehearsals is not for them.
+    """
     from adapters.tower_table import tower_rows, write_tower_table
 
     table, places = write_tower_table(folder, planned.scene.mission.name, tower_rows(planned, seen))
@@ -561,14 +642,14 @@ def write_towers(folder: Path, planned: InspectionPlan, seen: Coverage | None = 
 
 def report(folder: Path, report_round: WritePlan) -> Path:
     """Write the report of a whole inspection, and by ``report_round`` those of its rounds; return the page's path."""
-    from missionplanner.inspection_folder import load_inspection, round_folder
+    from missionplanner.inspection_folder import load_inspection
     from missionplanner.report import write_inspection_report
 
     planned = with_plans(load_inspection(folder), folder, report_round)
-    flights = sum((_latest(round_folder(folder, k), r.plan) for k, r in enumerate(planned.rounds, start=1)), Flights())
+    flights = sum((_latest(at, plan) for at, plan in _plans(folder, planned)), Flights())
     seen = flights.measured(planned.scene) if flights.tracks else None
-    write_towers(folder, planned, seen)
-    return write_inspection_report(folder, planned, seen, flights.tracks)
+    write_towers(folder, planned, None if flights.simulated else seen)
+    return write_inspection_report(folder, planned, seen, flights.tracks, flights.simulated)
 
 
 def _left_out_words(left_out: Sequence[Any]) -> str:

@@ -21,13 +21,13 @@ from missionplanner.files import ensure_writable, write_atomic
 from missionplanner.inspection import InspectionPlan, Round, open_scene, stops
 from missionplanner.mission import parse_mission
 from missionplanner.plan_folder import (
-    CERTIFICATE_NAME,
-    FLIGHT_NAME,
     INSPECTION_NAME,
+    OF_EARLIER,
     PLAN_NAME,
     Record,
     load_plan,
     read_record,
+    remove,
 )
 from missionplanner.scene import TERRAIN_NAME, VehicleTask, portable_mission
 from missionplanner.terrain import write_raster
@@ -37,6 +37,10 @@ from missionplanner.views import LeftOut, Visit
 FORMAT = "missionplanner-inspection"
 VERSION = 1
 _AGAIN = "plan the inspection again"
+_STALE = (  # what could also be flown by mistake
+    *(*OF_EARLIER, PLAN_NAME, "towers.csv", "towers.geojson"),
+    *(f"files/{name}" for name in ("*.plan", "*.waypoints", "*.kml", "*.geojson", "*.kmz", "*-litchi*.csv")),
+)
 
 
 class _VisitRecord(Record):
@@ -79,26 +83,17 @@ def round_folder(folder: Path, number: int) -> Path:
     return folder / f"round-{number}"
 
 
-def is_inspection(folder: Path) -> bool:
-    """Return whether a folder holds a whole inspection."""
-    return (folder / INSPECTION_NAME).exists()
-
-
 def save_inspection(folder: Path, plan: InspectionPlan, save_round: Callable[[Path, Round], None]) -> Path:
     """Write all rounds by ``save_round``, then ``inspection.json``; return its path.
 
-    What an earlier plan or inspection in this folder left to be flown is removed; logs of flights stay.
+    What an earlier plan or inspection has left in this folder is removed; logs of flights stay.
 
     Raises
     ------
     MissionError
         The folder cannot be written to.
     """
-    ensure_writable(folder)
-    (folder / INSPECTION_NAME).unlink(missing_ok=True)
-    _remove_plan(folder)
-    for old in folder.glob("round-*"):
-        _remove_plan(old)
+    clear(folder)
     mission = portable_mission(plan.scene)
     if mission.terrain.kind == "raster":
         write_raster(folder / TERRAIN_NAME, plan.scene.terrain)
@@ -144,6 +139,20 @@ def save_inspection(folder: Path, plan: InspectionPlan, save_round: Callable[[Pa
     path = folder / INSPECTION_NAME
     write_atomic(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
     return path
+
+
+def clear(folder: Path) -> None:
+    """Remove what an earlier plan or inspection has left in a folder and its rounds, but for logs of flights.
+
+    Raises
+    ------
+    MissionError
+        The folder cannot be written to.
+    """
+    ensure_writable(folder)
+    (folder / INSPECTION_NAME).unlink(missing_ok=True)
+    for at in (folder, *folder.glob("round-*")):  # resumed ones, too
+        remove(at, _STALE)
 
 
 def load_inspection(folder: Path) -> InspectionPlan:
@@ -226,11 +235,3 @@ def _round(folder: Path, input_sha256: str, tours: tuple[Tour, ...], tasks: Sequ
 def _turned(flown: Visit, asked: Visit) -> bool:
     """Return whether a visit is flown backwards."""
     return not np.array_equal(flown.viewpoints[0].position_m, asked.viewpoints[0].position_m)
-
-
-def _remove_plan(folder: Path) -> None:
-    """Remove what an earlier plan in this folder left that could be flown by mistake."""
-    stale = [folder / name for name in (PLAN_NAME, CERTIFICATE_NAME, FLIGHT_NAME)]
-    exported = ("*.plan", "*.waypoints", "*.kmz", "*-litchi*.csv")
-    for path in [*stale, *(path for pattern in exported for path in (folder / "files").glob(pattern))]:
-        path.unlink(missing_ok=True)

@@ -706,7 +706,7 @@ class _Importer:
         never = sum(self._map.supports[s].last_inspected is None for s in self._inspected)
         if 0 < never < len(self._inspected):
             what = _count(never, "tower")
-            notes.append(f"{what} without last_inspected count least (weight 1, others: days since): fill in either")
+            notes.append(f"{what} without last_inspected count as much as the longest known: fill in either")
         for name, run in zip(self._line_names, self._runs, strict=True):
             longest_m = self._map.longest_span_m(run.supports)
             if run.wire.ordered_by:

@@ -336,7 +336,8 @@ class Tower(Place):
     height_m: Size = 35.0
     weight: NonNegative | None = Field(
         None,
-        description="priority (PAPER.md eq. 15); default: days since last_inspected, else 1",
+        description="priority (PAPER.md eq. 15); default: days since last_inspected; without that as much as the "
+        "longest known, or 1 where none is",
     )
     last_inspected: Date | None = Field(None, description="needs inspection.as_of")
     views: TowerViews | Literal["none"] | None = Field(
@@ -384,16 +385,17 @@ class Inspection(Model):
     @property
     def weights(self) -> tuple[float, ...]:
         """Every tower's priority (PAPER.md eq. 15)."""
-        today = None if self.as_of is None else date.fromisoformat(self.as_of)
+        days = [self._days_since_inspected(tower) for tower in self.towers]
+        longest = max((known for known in days if known is not None), default=0.0) or 1.0
+        return tuple(
+            tower.weight if tower.weight is not None else longest if known is None else known
+            for tower, known in zip(self.towers, days, strict=True)
+        )
 
-        def weight(tower: Tower) -> float:
-            if tower.weight is not None:
-                return tower.weight
-            if tower.last_inspected is None or today is None:
-                return 1.0
-            return float((today - date.fromisoformat(tower.last_inspected)).days)
-
-        return tuple(weight(tower) for tower in self.towers)
+    def _days_since_inspected(self, tower: Tower) -> float | None:
+        if tower.last_inspected is None or self.as_of is None:
+            return None
+        return float((date.fromisoformat(self.as_of) - date.fromisoformat(tower.last_inspected)).days)
 
     @property
     def lines_or_one(self) -> tuple[InspectedLine, ...]:

@@ -8,6 +8,7 @@ carry over a verdict that no longer holds. The format is described in docs/PLAN_
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from itertools import pairwise
 from pathlib import Path
@@ -48,6 +49,11 @@ from missionplanner.waypoints import passes
 PLAN_NAME = "plan.json"
 FLIGHT_NAME = "flight.json"
 CERTIFICATE_NAME = "certificate.json"
+COVERAGE_NAME = "coverage.json"
+OF_EARLIER = (
+    *(FLIGHT_NAME, CERTIFICATE_NAME, COVERAGE_NAME, "coverage.png", "report.html", "report-*.html", "pictures/*.png"),
+)
+"""Of an earlier plan in a folder: would be taken for what is proven, flown and seen of a new one."""
 INSPECTION_NAME = "inspection.json"
 FORMAT = "missionplanner-plan"
 FLIGHT_FORMAT = "missionplanner-flight"
@@ -160,10 +166,17 @@ class _FlightRecord(Record):
     format: Literal["missionplanner-flight"]
     version: Literal[1]
     unproven: bool = False
+    simulated: bool = False
     vehicles: tuple[_FlownRecord, ...]
     corrections: tuple[_CorrectionRecord, ...] = ()
     meetings: tuple[_MeetingRecord, ...] = ()
     orders: tuple[_OrderedRecord, ...] = ()
+
+
+class _FlownHow(Record):
+    format: Literal["missionplanner-flight"]
+    version: Literal[1]
+    simulated: bool = False
 
 
 class _CertificateRecord(Record):
@@ -189,7 +202,7 @@ class _PlanRecord(Record):
 def save_plan(folder: Path, scene: Scene, plan: FleetPlan) -> Path:
     """Write the plan and return the path of its ``plan.json``; the same plan gives the same bytes.
 
-    The flight and the certificate of an earlier plan in this folder are removed.
+    What tells of an earlier plan in this folder is removed: flight, certificate, reports, what was seen.
 
     Raises
     ------
@@ -212,11 +225,21 @@ def save_plan(folder: Path, scene: Scene, plan: FleetPlan) -> Path:
         "mission": mission.model_dump(mode="json", by_alias=True, exclude_unset=True),
     }
     ensure_writable(folder)
-    for stale in (FLIGHT_NAME, CERTIFICATE_NAME):
-        (folder / stale).unlink(missing_ok=True)
+    remove(folder, OF_EARLIER)
     path = folder / PLAN_NAME
     write_atomic(path, json.dumps(document, indent=1, allow_nan=False) + "\n")
     return path
+
+
+def is_inspection(folder: Path) -> bool:
+    """Return whether a folder holds a whole inspection: rounds, each a plan folder of its own."""
+    return (folder / INSPECTION_NAME).exists()
+
+
+def remove(folder: Path, patterns: Sequence[str]) -> None:
+    """Remove files of a folder that match."""
+    for path in [path for pattern in patterns for path in folder.glob(pattern)]:
+        path.unlink(missing_ok=True)
 
 
 def planned_names(folder: Path) -> tuple[str, ...]:
@@ -285,12 +308,19 @@ def load_plan(folder: Path) -> tuple[Scene, FleetPlan]:
     return scene, proof.checked(scene, plan)
 
 
-def save_flight(folder: Path, flight: FleetFlight, *, unproven: bool = False) -> Path:
-    """Write the recorded flight beside the plan and return its path; ``unproven``: it was flown without a proof."""
+def save_flight(folder: Path, flight: FleetFlight, *, unproven: bool = False, simulated: bool = False) -> Path:
+    """Write the recorded flight beside the plan and return its path.
+
+    Parameters
+    ----------
+    unproven : it was flown without a proof
+    simulated : no vehicle was in the air
+    """
     document = {
         "format": FLIGHT_FORMAT,
         "version": FLIGHT_VERSION,
         "unproven": unproven,
+        "simulated": simulated,
         "vehicles": [
             {
                 "name": vehicle.name,
@@ -353,6 +383,17 @@ def load_flight(folder: Path, plan: FleetPlan) -> FleetFlight | None:
     )
 
 
+def was_simulated(folder: Path) -> bool:
+    """Return whether the recorded flight of a plan, which is there, was a rehearsal: no vehicle was in the air.
+
+    Raises
+    ------
+    MissionError
+        The record is damaged.
+    """
+    return read_record(folder / FLIGHT_NAME, _FlownHow, "fly the plan again, or delete the file").simulated
+
+
 def save_certificate(folder: Path, certificate: Certificate) -> Path:
     """Write a certificate beside its plan and return its path.
 
@@ -402,7 +443,7 @@ def read_record(path: Path, kind: type[_AnyRecord], remedy: str) -> _AnyRecord:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        if (path.parent / INSPECTION_NAME).exists():
+        if is_inspection(path.parent):
             raise MissionError(
                 f"{path.parent}: expected one plan, got an inspection of several rounds: name one of them, "
                 f"e.g. {path.parent / 'round-1'}"

@@ -68,6 +68,7 @@ def write_inspection_report(
     planned: InspectionPlan,
     seen: Coverage | None = None,
     tracks: Sequence[Trajectory] = (),
+    simulated: Sequence[str] = (),
 ) -> Path:
     """Write ``report.html`` and its pictures of a whole inspection into ``folder``, and return the page's path.
 
@@ -77,6 +78,7 @@ def write_inspection_report(
     ----------
     seen : what its flights have shown, if there were any
     tracks : where they went
+    simulated : rounds whose flights were rehearsals: no vehicle was in the air
 
     Raises
     ------
@@ -89,6 +91,7 @@ def write_inspection_report(
     missed = _missed(planned, rows, seen)
     reasons = [
         *troubles,
+        *(f"simulated: {place}: no vehicle was in the air, nothing is inspected by it" for place in simulated),
         *(f"left out: {left.target}: {left.why}" for left in planned.left_out),
         *(f"not seen: {line}" for line in missed),
     ]
@@ -98,12 +101,12 @@ def write_inspection_report(
         _pictures(planned, rounds, rows, seen, tracks),
         mission=planned.scene.mission,
         eyebrow="Inspection",
-        subject="plan" if seen is None else "plan and flight",
+        subject="plan" if seen is None else "plan and simulated flight" if simulated else "plan and flight",
         state="unclear" if troubles else "waived" if reasons else "clear",
-        headline=_headline(planned, troubles, seen),
+        headline=_headline(planned, troubles, seen, simulated),
         reasons=reasons[:_REASONS_SHOWN],
         reasons_left=max(0, len(reasons) - _REASONS_SHOWN),
-        tiles=tuple(_tiles(planned, rows, seen, missed)),
+        tiles=tuple(_tiles(planned, rows, seen, missed, simulated)),
         sorties=tuple(_sorties(folder, planned, rounds, rows)),
         targets=tuple(_targets(planned, rows)),
         seen=seen is not None,
@@ -123,7 +126,7 @@ def _missed(planned: InspectionPlan, rows: Sequence[TowerRow], seen: Coverage | 
     ]
 
 
-def _headline(planned: InspectionPlan, troubles: Sequence[str], seen: Coverage | None) -> str:
+def _headline(planned: InspectionPlan, troubles: Sequence[str], seen: Coverage | None, simulated: Sequence[str]) -> str:
     count = len(planned.rounds)
     rounds = f"{count} round{'s' if count != 1 else ''}"
     if troubles:
@@ -136,18 +139,25 @@ def _headline(planned: InspectionPlan, troubles: Sequence[str], seen: Coverage |
         done = len(set(planned.inspected) & seen.done)
         told += f"; {done} of them were seen from all sides" if done < len(planned.inspected) else "; all were seen"
         told += "".join(f"; {note}" for note in seen.notes)
+    if simulated:
+        told += f"; SIMULATED: no vehicle was in the air in {', '.join(simulated)}"
     return f"{told}."
 
 
 def _tiles(
-    planned: InspectionPlan, rows: Sequence[TowerRow], seen: Coverage | None, missed: Sequence[str]
+    planned: InspectionPlan,
+    rows: Sequence[TowerRow],
+    seen: Coverage | None,
+    missed: Sequence[str],
+    simulated: Sequence[str],
 ) -> Iterator[Tile]:
     short = planned.share < planned.share_min - 1e-9
     yield Tile(
         "inspected", f"{planned.share:.0%}", f"of the towers' weight; at least {planned.share_min:.0%}", bad=short
     )
     if seen is not None:
-        yield Tile("seen", f"{seen.share:.0%}", "of the towers' weight, by flights", bad=bool(missed))
+        by = "simulated flights" if simulated else "flights"
+        yield Tile("seen", f"{seen.share:.0%}", f"of the towers' weight, by {by}", bad=bool(missed or simulated))
     if planned.left_out:
         yield Tile("left out", str(len(planned.left_out)), "targets, named below", bad=True)
     yield Tile("rounds", str(len(planned.rounds)), _sorties_words(planned))

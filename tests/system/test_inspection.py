@@ -12,6 +12,7 @@ import pytest
 
 from adapters.certificates import certify_plan
 from adapters.export import export_fleet
+from adapters.telemetry_log import SIMULATED
 from missionplanner.inspection import Round, plan_inspection
 from missionplanner.inspection_folder import load_inspection, round_folder, save_inspection
 from missionplanner.mission import Mission
@@ -33,6 +34,20 @@ def save_round(folder: Path, this: Round) -> None:
     save_plan(folder, this.scene, this.plan)
     save_certificate(folder, certify_plan(this.scene, this.plan))
     export_fleet(this.plan, folder / "files")
+
+
+def fly_for_real(folder: Path, without: str = "") -> None:
+    """Make a plan folder's rehearsal a flight: what notes that it is simulated goes, and one vehicle, if named."""
+    record = folder / "flight.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"simulated": False}))
+    for path in (folder / "logs").glob("*.tlog"):
+        data = path.read_bytes()
+        text = data.index(SIMULATED.encode())
+        frame = text - 11  # MAVLink 2: 10 bytes before its payload, a STATUSTEXT's first is the severity
+        path.write_bytes(data[: frame - 8] + data[frame + 12 + data[frame + 1] :])
+    if without:
+        for path in (folder / "logs" / f"{without}.tlog", folder / "logs" / "fleet.tlog"):
+            path.unlink()
 
 
 @pytest.fixture(scope="module")
@@ -79,23 +94,99 @@ def test_a_line_is_planned_flown_seen_and_done(cli: Cli, tmp_path: Path) -> None
     sorties = {s["vehicle"]: set(s["targets"]) for s in found["rounds"][0]["sorties"]}
     assert planned_targets(tmp_path / "out" / "round-1") == sorties  # beside a log: what that flight was to look at
 
-    # nothing is left: said, and nothing written
+    # it was a rehearsal: told wherever it is shown, and it has inspected nothing
+    assert found["simulated"] == seen.json["simulated"] == seen.json["flights"] == ["round-1"]
+    assert by_log.json["simulated"] == ["out/round-1/logs"]
+    assert "SIMULATED: no vehicle was in the air" in cli("coverage", "out").out
+    assert json.loads((tmp_path / "out" / "coverage.json").read_text())["simulated"] == ["round-1"]
+    assert ",yes," not in (tmp_path / "out" / "towers.csv").read_text()
+    assert cli("report", "out").code == 0
+    assert ",yes," not in (tmp_path / "out" / "towers.csv").read_text()
+    assert "SIMULATED: no vehicle was in the air in round-1" in (tmp_path / "out" / "report.html").read_text()
     rest = cli("plan", path, "--flown", "out", "-o", "rest", "--json")
-    assert rest.code == 0, rest.err
-    assert rest.json == {"mission": "small", "done_before": ["T1", "T2"], "rounds": [], "left_out": []}
-    assert not list((tmp_path / "rest").iterdir())
-    assert "nothing is left to inspect" in cli("plan", path, "--flown", "out", "-o", "rest").out
+    expect_refusal(rest, 2, "--flown", "got simulated ones only", "out/round-1/logs", "--simulated")
+    assert not (tmp_path / "rest").exists()
+    rest = cli("plan", path, "--flown", "out", "--simulated", "-o", "rest", "--json")
+    assert rest.json["done_before"] == ["T1", "T2"], rest.err
 
-    # one vehicle's log alone: the other's tower is left
-    ((vehicle, targets),) = [(s["vehicle"], s["targets"]) for s in found["rounds"][0]["sorties"]][:1]
-    rest = cli("plan", path, "--flown", f"out/round-1/logs/{vehicle}.tlog", "-o", "rest", "--json")
+    # one vehicle's flight alone, and a rehearsal before it: the other's tower is left
+    (vehicle, targets), (other, _) = [(s["vehicle"], s["targets"]) for s in found["rounds"][0]["sorties"]]
+    real = Path(shutil.copytree(tmp_path / "out", tmp_path / "real"))
+    shutil.copytree(tmp_path / "out" / "round-1" / "logs", real / "round-1" / "logs" / "earlier" / "1")
+    fly_for_real(real / "round-1", without=other)
+    rest = cli("plan", path, "--flown", "real", "-o", "rest", "--json")
     assert rest.code == 0, rest.err
+    assert "real/round-1/logs/earlier/1: not counted: a simulated flight" in rest.err
     assert rest.json["done_before"] == targets
     assert rest.json["inspected"] == 2 - len(targets)
     assert rest.json["share"] == 1.0
-    expect_refusal(
-        cli("plan", path, "--flown", "out", "-o", "out", "--json"), 2, "--output: expected another folder than out"
-    )
+
+    # nothing is left: said, and the rest that was planned before is not there to be flown again
+    every = Path(shutil.copytree(tmp_path / "out", tmp_path / "every"))
+    fly_for_real(every / "round-1")
+    seen = cli("coverage", "every", "--json")
+    assert (seen.json["share"], seen.json["flights"], seen.json["simulated"]) == (1.0, ["round-1"], [])
+    assert ",yes," in (tmp_path / "every" / "towers.csv").read_text()
+    rest = cli("plan", path, "--flown", "every", "-o", "rest", "--json")
+    assert rest.code == 0, rest.err
+    assert rest.json == {"mission": "small", "done_before": ["T1", "T2"], "rounds": [], "left_out": []}
+    assert not [at for at in (tmp_path / "rest").rglob("*") if at.is_file()]
+    assert "nothing is left to inspect" in cli("plan", path, "--flown", "every", "-o", "rest").out
+
+    # into what is read, nothing is written
+    told = "--output: expected another folder than every"
+    for read in ("every", "every/round-1/logs", f"every/round-1/logs/{vehicle}.tlog"):
+        expect_refusal(cli("plan", path, "--flown", read, "-o", "every", "--json"), 2, told)
+    assert (every / "round-1" / "flight.json").exists()
+
+
+def test_who_went_on_with_a_round_counts(cli: Cli, copied: Path) -> None:
+    """The flight of what was resumed beside its round is one of the inspection's."""
+    at = round_folder(copied, 1)
+    vehicle, targets = next(iter(planned_targets(at).items()))
+    resumed = cli("resume", at, "--vehicle", vehicle, "--from", "3", "--json")
+    assert resumed.code == 0, resumed.err
+    rest = copied / f"round-1_{vehicle}_resumed"
+    assert cli("fly", rest).code == 0
+    expect_line(cli("coverage", rest), 2, "expected the whole inspection", str(copied))
+    seen = cli("coverage", copied, "--json")
+    assert seen.code == 3
+    assert seen.json["flights"] == [rest.name]
+    assert seen.json["done"] == sorted(targets)
+    assert cli("report", copied).code == 0
+    assert f"no vehicle was in the air in {rest.name}" in (copied / "report.html").read_text()
+
+    # flown to its end: there is nothing to resume
+    expect_line(cli("resume", rest, "--vehicle", vehicle, "--log", rest), 2, vehicle, "nothing is left but its end")
+
+
+def test_a_round_by_itself_does_not_say_what_was_seen(cli: Cli, copied: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lonely = Path(shutil.copytree(round_folder(copied, 1), copied.parent / "lonely"))
+    expect_line(cli("coverage", lonely), 2, "expected the folder of the whole inspection", f"--log {lonely}")
+    monkeypatch.chdir(round_folder(copied, 1))
+    expect_line(cli("coverage", "."), 2, "expected the whole inspection", str(copied.resolve()))
+
+
+def test_what_an_earlier_inspection_showed_goes_with_it(copied: Path) -> None:
+    told = ["coverage.json", "coverage.png", "report.html", "pictures/coverage.png", "round-1/report.html"]
+    told += ["round-1/report-alpha.html", "round-1/pictures/map.png", "round-1/flight.json", "round-7/plan.json"]
+    told += ["round-1_alpha_resumed/plan.json", "round-1_alpha_resumed/files/alpha.plan", "round-1/files/bravo.kmz"]
+    log = "round-1/logs/alpha.tlog"
+    again = load_inspection(copied)
+    for name in (*told, log):
+        (copied / name).parent.mkdir(parents=True, exist_ok=True)
+        (copied / name).write_text("of an earlier one")
+    save_inspection(copied, again, save_round)
+    assert not [name for name in told if (copied / name).exists()]
+    assert (copied / log).exists()
+
+
+def test_files_of_one_vehicle_are_checked_against_the_whole_mission(cli: Cli, copied: Path, tmp_path: Path) -> None:
+    path = mission_file(tmp_path, line())
+    alone = round_folder(copied, 1) / "files" / "alpha.plan"
+    checked = cli("check", "--mission", path, alone, "--json")
+    assert checked.code == 0, checked.err
+    assert "not judged of an open mission" in checked.out
 
 
 def test_a_planned_folder_is_checked_exported_and_uploaded_by_rounds(cli: Cli, copied: Path) -> None:
@@ -124,15 +215,22 @@ def test_what_is_read_is_what_was_written(planned: Path) -> None:
     assert {row["vehicle"] for row in document["targets"]} <= {"alpha", "bravo"}
 
 
-def test_an_edited_waypoint_is_no_longer_proven(cli: Cli, copied: Path) -> None:
+def test_an_edited_plan_is_refused(cli: Cli, copied: Path) -> None:
     path = round_folder(copied, 1) / "plan.json"
     document = json.loads(path.read_text())
-    waypoint = document["vehicles"][0]["waypoints"][1]
-    waypoint["position_m"][2] -= 25.0
+    vehicle = document["vehicles"][0]
+    vehicle["return_height_m"] = 5.0
     path.write_text(json.dumps(document))
     checked = cli("check", copied, "--json")
-    assert checked.code in (2, 3), checked.out
-    assert cli("fly", copied, "--json").code in (2, 3)
+    expect_line(checked, 3, f"not proven: {round_folder(copied, 1)}: {vehicle['name']}: ", "when told to return")
+    assert not checked.json["proven"]
+    told = f"{round_folder(copied, 1)}: not proven: {vehicle['name']}: "
+    expect_refusal(cli("fly", copied, "--json"), 3, told, "when told to return", "nothing was sent")
+    vehicle["waypoints"][1]["position_m"][2] -= 25.0
+    path.write_text(json.dumps(document))
+    told = f"{vehicle['name']}: expected waypoints from the top of the take-off through every stop"
+    for command in ("check", "fly"):
+        expect_refusal(cli(command, copied, "--json"), 2, str(path), told)
 
 
 # --- what is wrong
@@ -215,6 +313,9 @@ def test_options_that_do_not_go_with_an_inspection(cli: Cli, tmp_path: Path) -> 
     expect_line(cli("plan", path, "--within", "3"), 2, "--within", "got an inspection")
     expect_line(cli("fly", path, "--connect", "tcp:127.0.0.1:9"), 2, "a round at a time")
     expect_line(cli("plan", path, "--flown", "nowhere"), 2, "nowhere", "expected a telemetry log")
+    for nothing in ("", ",", " , "):
+        expect_line(cli("plan", path, "--flown", nothing), 2, "--flown: expected folders or logs of flights")
+    expect_line(cli("plan", path, "--simulated"), 2, "--simulated: expected with --flown")
     (tmp_path / "empty").mkdir()
     expect_line(cli("plan", path, "--flown", "empty"), 2, "empty", "got a folder without any")
     plain = tmp_path / "plain.yaml"

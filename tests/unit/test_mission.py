@@ -6,7 +6,15 @@ from pathlib import Path
 import pytest
 
 from missionplanner.errors import MissionError
-from missionplanner.mission import Mission, Vehicle, VehicleSettings, load_mission, mission_schema, parse_mission
+from missionplanner.mission import (
+    Inspection,
+    Mission,
+    Vehicle,
+    VehicleSettings,
+    load_mission,
+    mission_schema,
+    parse_mission,
+)
 
 SMALL = """\
 name: small
@@ -384,3 +392,19 @@ def test_rally_points_need_a_return_that_is_waived() -> None:
     assert [len(v.rally) for v in parse_mission(waived, "small.yaml").vehicles] == [1, 1]
     with pytest.raises(MissionError, match=r"vehicles\[0\].end: expected land or loiter with rally points"):
         parse_mission(waived.replace("name: alpha", "name: alpha\n    end: rtl", 1), "small.yaml")
+
+
+@pytest.mark.parametrize(
+    ("towers", "expected"),
+    [
+        ([{"last_inspected": "2024-01-01"}, {}, {"last_inspected": "2024-01-21"}, {"weight": 3.0}], (30, 30, 10, 3)),
+        ([{"last_inspected": "2024-01-21", "weight": 2.0}, {}], (2, 10)),
+        ([{"last_inspected": "2024-01-31"}, {}], (0, 1)),
+        ([{}, {"weight": 0.5}], (1, 0.5)),
+    ],
+)
+def test_who_was_never_inspected_counts_as_much_as_who_waits_longest(
+    towers: list[dict[str, object]], expected: tuple[float, ...]
+) -> None:
+    named = [{"name": f"T{k}", "x_m": 100.0 * k, "y_m": 0.0} | tower for k, tower in enumerate(towers)]
+    assert Inspection.model_validate({"towers": named, "as_of": "2024-01-31"}).weights == expected
