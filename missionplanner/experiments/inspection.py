@@ -586,7 +586,7 @@ def table(results: Results) -> str:
         "the lines.",
         shared,
         planned,
-        "![Who flies where](map.png)",
+        "Who flies where is drawn in map.png beside these results (it shows the data, which stay yours).",
         "![Flight time, and weight collected](bars.png)",
         "## Priorities",
         f"One sortie each, {len(results.priorities)} sets of random priorities (1 to {_DAYS_MAX} days).",
