@@ -16,7 +16,7 @@ from missionplanner.experiments.inspection import Results, bayreuth, many, table
 from missionplanner.inspection import open_scene
 from missionplanner.plan import Trajectory
 
-DATA = Path("/work/shared/data")
+DATA = Path(__file__).parents[3] / "shared" / "data"
 real = pytest.mark.skipif(not (DATA / inspection.LINES).is_file(), reason=f"no lines of Bayreuth in {DATA}")
 
 
