@@ -23,7 +23,7 @@ from rich.progress import Progress, TaskID
 
 from missionplanner import experiment_commands, import_commands, inspection_commands
 from missionplanner.errors import InfeasibleError, LinkError, MissionError, MissionPlannerError
-from missionplanner.terminal import Told, print_json, progress_bars, stderr, stdout
+from missionplanner.terminal import Told, planning_bars, print_json, progress_bars, stderr, stdout
 
 if TYPE_CHECKING:  # the planner takes a second to import: commands that do without it should not wait
     from adapters.certificates import Held
@@ -1397,13 +1397,10 @@ def _plan(scene: Scene, folder: Path, seed: int | None, within_s: float | None =
     compiling = begin()
     if compiling is not None:
         print("first run: compiling the kernels takes half a minute, once", file=sys.stderr)
-    with progress_bars() as progress:
-        bars: dict[str, TaskID] = {}
+    with planning_bars() as show_bar:
 
         def watch(vehicle: str, done: float) -> None:
-            if vehicle not in bars:
-                bars[vehicle] = progress.add_task(f"planning {vehicle}", total=1.0)
-            progress.update(bars[vehicle], completed=done)
+            show_bar(vehicle, done)
             if compiling is not None and done >= 1.0:
                 compiling.wait()  # flights come next: what the other process compiles would be compiled twice
 

@@ -12,11 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from missionplanner.errors import InfeasibleError, MissionError
-from missionplanner.terminal import print_json, progress_bars, stderr, stdout
+from missionplanner.terminal import planning_bars, print_json, stderr, stdout
 
 if TYPE_CHECKING:  # the planner takes a second to import
-    from rich.progress import TaskID
-
     from missionplanner.certificate import Certificate
     from missionplanner.coverage import Coverage
     from missionplanner.flight_check import FlightCheck
@@ -101,13 +99,10 @@ def plan_into(
     compiling = begin()
     if compiling is not None:
         print("first run: compiling the kernels takes a minute, once", file=sys.stderr)
-    with progress_bars() as progress:
-        bars: dict[str, TaskID] = {}
+    with planning_bars() as show_bar:
 
         def watch(vehicle: str, done: float) -> None:
-            if vehicle not in bars:
-                bars[vehicle] = progress.add_task(f"planning {vehicle}", total=1.0)
-            progress.update(bars[vehicle], completed=done)
+            show_bar(vehicle, done)
             if compiling is not None and vehicle.endswith("round 1"):
                 compiling.wait()  # what the other process compiles would be compiled twice
 
@@ -476,7 +471,7 @@ class _Asked:
 
     def flights(self) -> Flights:
         """Return the latest flight of every plan that was flown."""
-        return sum((_latest(folder, plan) for folder, plan in self.plans), Flights())
+        return _latest_of(self.plans)
 
 
 def _plans(folder: Path, planned: InspectionPlan) -> Iterator[tuple[Path, FleetPlan]]:
@@ -490,6 +485,10 @@ def _plans(folder: Path, planned: InspectionPlan) -> Iterator[tuple[Path, FleetP
         for rest in sorted(folder.glob(f"{at.name}_*")):
             if (rest / PLAN_NAME).exists() and (rest / FLIGHT_NAME).exists():
                 yield rest, load_plan(rest)[1]
+
+
+def _latest_of(plans: Iterable[tuple[Path, FleetPlan]]) -> Flights:
+    return sum((_latest(folder, plan) for folder, plan in plans), Flights())
 
 
 def _latest(folder: Path, plan: FleetPlan) -> Flights:
@@ -646,7 +645,7 @@ def report(folder: Path, report_round: WritePlan) -> Path:
     from missionplanner.report import write_inspection_report
 
     planned = with_plans(load_inspection(folder), folder, report_round)
-    flights = sum((_latest(at, plan) for at, plan in _plans(folder, planned)), Flights())
+    flights = _latest_of(_plans(folder, planned))
     seen = flights.measured(planned.scene) if flights.tracks else None
     write_towers(folder, planned, None if flights.simulated else seen)
     return write_inspection_report(folder, planned, seen, flights.tracks, flights.simulated)

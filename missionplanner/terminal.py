@@ -7,11 +7,12 @@ import json
 import os
 import signal
 import sys
+from collections.abc import Callable, Iterator
 from types import TracebackType
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 try:
     import termios
@@ -36,6 +37,20 @@ def progress_bars() -> Progress:
         TimeElapsedColumn(),
     )
     return Progress(*columns, console=stderr, disable=not stderr.is_terminal)
+
+
+@contextlib.contextmanager
+def planning_bars() -> Iterator[Callable[[str, float], None]]:
+    """Show a bar for everything that is planned: to be told its name and the share that is done."""
+    with progress_bars() as progress:
+        bars: dict[str, TaskID] = {}
+
+        def watch(name: str, done: float) -> None:
+            if name not in bars:
+                bars[name] = progress.add_task(f"planning {name}", total=1.0)
+            progress.update(bars[name], completed=done)
+
+        yield watch
 
 
 def print_json(value: Any) -> None:
